@@ -2,7 +2,7 @@
 """Looks for the phrases of `tests/words.txt` in what people read: messages, help, screens and pages. `tests/words.py [CHECKOUT]`.
 
 Messages are the literals of two words or a heading in product code, help is the doc comments of `src/cli`. Names are not judged: what
-stands between backticks or in a code block, placeholders, NAMES. Ends with 1 if there is a hit.
+stands between backticks or in a code block, placeholders, NAMES. A number before a plural noun is a hit too. Ends with 1 if there is a hit.
 """
 
 import re
@@ -25,6 +25,13 @@ NOT_JUDGED = re.compile(r"`[^`]*`|\{[^}]*\}|" + NAMES)
 REASON = re.compile(r"\breason\s*=\s*$")
 # Two words, or the heading of a column.
 MESSAGE = re.compile(r"[A-Za-z']{2,}.*?[^A-Za-z'].*?[A-Za-z']{2,}|^[A-Z][a-z]+$", re.DOTALL)
+# A number and its noun, which `counted` joins: not of a limit, and not a rate.
+UNCOUNTED = re.compile(
+    r"(?<![\w{])\{(?!most\}|limit\}|all\}|format\})[a-z_0-9]*\} (?:(?:more|other) )?(?:accounts|alerts|batches|blocks|"
+    r"chunks|connections|copies|days|deliveries|devices|entries|epochs|events|files|frames|gaps|grants|heads|incidents|lines|"
+    r"losses|messages|minutes|notes|owners|parts|pictures|places|profiles|publishers|readers|records|requests|robots|rows|rules|"
+    r"signatures|stamps|times|topics|transactions)\b(?!/)"
+)
 ONLY_SQL = re.compile(r"(?-i:\b(SELECT|REPLACE INTO|INSERT|UPDATE|DELETE FROM|IS NOT NULL|PRAGMA|JOIN)\b)")
 PAGES = [
     "*.md", "docs/*.md", "docs/decisions/*.md", "docs/monitoring/*", "crates/*/README.md", "packaging/*.1", "packaging/debian/*",
@@ -86,6 +93,13 @@ def what_people_read(root: Path) -> Iterator[tuple[str, int, str]]:
                 yield str(file.relative_to(root)), number, text
 
 
+def uncounted(root: Path) -> Iterator[tuple[str, int, str]]:
+    for file in product_files(root):
+        for number, text in messages(file, False):
+            for found in UNCOUNTED.finditer(text):
+                yield str(file.relative_to(root)), number, found[0]
+
+
 def around(text: str, hit: str) -> str:
     place = max(0, text.find(hit))
     return text[max(0, place - 60) : place + 90].strip()
@@ -101,6 +115,9 @@ def main() -> int:
             for found in word.finditer(NOT_JUDGED.sub("_", text)):
                 hits += 1
                 print(f"{name}:{number}: '{found[0]}' (better: {better}): {around(text, found[0])}")
+    for name, number, found in uncounted(root):
+        hits += 1
+        print(f"{name}:{number}: '{found}' (better: `model::counted`, which knows 1 and groups digits)")
     print(f"{hits} hits in {texts} texts")
     return 1 if hits or texts == 0 else 0
 

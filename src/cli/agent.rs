@@ -10,7 +10,7 @@ use super::args::Global;
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase, plan::CHAIN, serve};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, error::shown, private_file};
-use crate::model::{ByteSize, ErrorKind};
+use crate::model::{ByteSize, ErrorKind, counted, grouped};
 use crate::service::{
     Agent, AgentEnd, AgentFigures, AgentWishes, Client, EnrolWishes, Failure, Needs, NoticeLevel, SecretText, Site,
 };
@@ -194,7 +194,12 @@ pub async fn run(global: Global, arguments: RunArguments, output: &Output) -> Re
 
 fn text(figures: &AgentFigures) -> String {
     let ring = figures.ring.map_or_else(String::new, |ring| {
-        format!("; ring: {} messages, {}, {} expired", ring.messages, ByteSize(ring.bytes), ring.fallen)
+        format!(
+            "; ring: {}, {}, {} expired",
+            counted(ring.messages, "message"),
+            ByteSize(ring.bytes),
+            grouped(ring.fallen)
+        )
     });
     let AgentFigures { name, captured, accepted, verified, pending, lost, gateway, .. } = figures;
     let sum = format!("captured {captured}, accepted {accepted}, verified {verified}, pending {pending}, lost {lost}");

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::plan::{NEITHER, Plan};
 use super::{parse, parse::usage};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, counted, grouped};
 use crate::service::reply::{AuditCheck, AuditView};
 use crate::service::{Failure, Needs, command, command::AuditQuery, is_bound};
 use authros_output::{Output, table};
@@ -86,10 +86,11 @@ pub fn check(check: &AuditCheck) -> String {
     let mut lines = Vec::new();
     match &check.text {
         Some(text) => lines.push(format!("BROKEN: {text}")),
-        None => lines.push(format!("{} lines, each chained to the one before", check.lines)),
+        None => lines.push(format!("{}, each chained to the one before", counted(check.lines, "line"))),
     }
-    let (heads, anchored, covered) = (check.heads, check.anchored, check.covered);
-    lines.push(format!("{heads} heads compared, {anchored} of them on the chain; the newest covers {covered} lines"));
+    let (heads, anchored, covered) =
+        (counted(check.heads, "head"), grouped(check.anchored), counted(check.covered, "line"));
+    lines.push(format!("{heads} compared, {anchored} of them on the chain; the newest covers {covered}"));
     lines.extend(check.unusable.iter().map(|record| format!("an anchored head cannot be used: {record}")));
     lines.join("\n")
 }

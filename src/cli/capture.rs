@@ -7,7 +7,7 @@ use super::connect::{Context, ProfileNeed};
 use clap::Args;
 
 use super::{parse, printed::TAMPERED, serve::until_done};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, counted};
 use crate::service::command::{Capture, ChainStatus, SiteStatus, StopCapture};
 use crate::service::reply::{CaptureSummary, ChainView, HealthLevel, SiteView, TopicSummary};
 use crate::service::{Client, Failure, Needs};
@@ -88,7 +88,7 @@ async fn tell_what_it_waits_for(client: &Client, output: &Output) -> Infallible 
         }
         let (cause, text) = obstacle(&site, &chain, block.1.elapsed());
         if told.replace(cause) != Some(cause) {
-            output.note(&format!("waiting, {} records are not verified yet: {text}", site.life.pending));
+            output.note(&format!("waiting, {} not verified yet: {text}", counted(site.life.pending, "record")));
         }
     }
 }
@@ -108,7 +108,10 @@ fn obstacle(site: &SiteView, chain: &ChainView, still: Duration) -> (&'static st
         Some(next) => {
             let what = format!("{} with nonce {} at {} per gas", next.purpose, next.nonce, next.price);
             let advice = "check that the network makes blocks; see `authros chain status`";
-            ("transaction", format!("{} transactions are in no block yet, first {what}; {advice}", chain.pending))
+            (
+                "transaction",
+                format!("{} in no block yet, first {what}; {advice}", counted(chain.pending, "transaction")),
+            )
         }
         None => ("progress", "the site is working through them; see `authros status`".to_owned()),
     }
@@ -134,15 +137,12 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
         unreached.for_each(|one| output.note(&format!("authros: {} was not read from {one}", topic.topic)));
     }
     let told = [
-        (
-            summary.quarantined,
-            "are quarantined because their publisher is not pinned; see `authros topics quarantine list`",
-        ),
-        (summary.lost, "were lost before capture; the loss is recorded"),
-        (summary.skipped, "have a different type than requested and were not captured"),
+        (summary.quarantined, "quarantined, because the publisher is not pinned; see `authros topics quarantine list`"),
+        (summary.lost, "lost before capture; the loss is recorded"),
+        (summary.skipped, "of a different type than requested, so not captured"),
     ];
     for (count, what) in told.into_iter().filter(|(count, _)| *count > 0) {
-        output.note(&format!("authros: {count} messages {what}"));
+        output.note(&format!("authros: {} {what}", counted(count, "message")));
     }
     let unseen: Vec<&TopicSummary> = summary.topics.iter().filter(|topic| topic.captured == 0).collect();
     let unknown = unseen.iter().filter(|topic| topic.unreached.is_empty() && summary.skipped == 0);

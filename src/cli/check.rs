@@ -4,11 +4,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::{args::Global, connect::Context, parse, passphrase, show::Question};
+use crate::model::{ErrorKind, counted, grouped};
 use crate::service::command::{ChainStatus, ListAllUploads, ListUploads, SiteStatus, UploadQuery};
 use crate::service::reply::{BackupView, CheckStatus, DoctorView, RecordAudit};
 use crate::service::verification::{self, FolderCheck, Known, verdict};
 use crate::service::{Failure, doctor, restoring, socket};
-use crate::{model::ErrorKind, store::SiteLock};
+use crate::store::SiteLock;
 use authros_output::{Output, table};
 
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
@@ -27,23 +28,33 @@ fn rounded(value: f64) -> String {
 
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
-    let (megabytes, threads) = (rounded(audit.megabytes_per_second), audit.threads);
+    let (megabytes, threads) = (rounded(audit.megabytes_per_second), counted(audit.threads as u64, "thread"));
     let alone = match audit.sm3_megabytes_per_second {
         // Nothing was hashed.
         0.0 => String::new(),
         reached => format!("; SM3 alone reaches {} MB/s on as many", rounded(reached)),
     };
     let mut lines = vec![
-        format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
-        format!("{} records/s, {megabytes} MB/s on {threads} threads{alone}", rounded(audit.records_per_second)),
-        format!("{} batches checked against the chain, {} audit log lines", audit.batches, audit.audit_lines),
+        format!(
+            "{} {how}, {}, in {:.1} s",
+            counted(audit.records, "record"),
+            counted(audit.bytes, "byte"),
+            audit.seconds
+        ),
+        format!("{} records/s, {megabytes} MB/s on {threads}{alone}", rounded(audit.records_per_second)),
+        format!(
+            "{} checked against the chain, {}",
+            counted(audit.batches, "batch"),
+            counted(audit.audit_lines, "audit log line")
+        ),
     ];
-    let counted = [
+    let others = [
         (audit.pending, "not on a chain yet"),
         (audit.given_up, "deliberately discarded"),
         (audit.unchecked, "signed with keys unknown here"),
     ];
-    lines.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} records {what}")));
+    let others = others.into_iter().filter(|(count, _)| *count > 0);
+    lines.extend(others.map(|(count, what)| format!("{} {what}", counted(count, "record"))));
     lines.extend(audit.notes.iter().map(|note| format!("note: {note}")));
     let find = |finding: &crate::service::reply::RecordFinding| {
         format!("{}: {}: {}", finding.kind.word().to_uppercase(), finding.subject, finding.text)
@@ -52,13 +63,16 @@ pub fn audit(audit: &RecordAudit) -> String {
     if audit.findings_left_out > 0 {
         lines.push(format!("and {} more", audit.findings_left_out));
     }
-    let (missing, tampered, gaps) = (audit.missing, audit.tampered, audit.gaps);
+    let (missing, tampered, gaps) = (grouped(audit.missing), grouped(audit.tampered), counted(audit.gaps, "number"));
     lines.push(match audit.ok {
         true => "nothing missing, nothing tampered with".to_owned(),
         false if audit.worst() == Some(ErrorKind::Refused) => {
-            format!("nothing missing, nothing tampered with; {} records have a false name", audit.false_names)
+            format!(
+                "nothing missing, nothing tampered with; {} with a false name",
+                counted(audit.false_names, "record")
+            )
         }
-        false => format!("{missing} missing, {tampered} tampered, {gaps} numbers absent; keep a copy of the home"),
+        false => format!("{missing} missing, {tampered} tampered, {gaps} absent; keep a copy of the home"),
     });
     lines.join("\n")
 }
@@ -69,7 +83,8 @@ pub fn audit_code(audit: &RecordAudit) -> u8 {
 
 pub fn backed_up(view: &BackupView) -> String {
     let profiles = if view.profiles.is_empty() { "no profile".to_owned() } else { view.profiles.join(", ") };
-    let mut lines = vec![format!("{}: {} files, {} bytes, keyrings of {profiles}", view.file, view.files, view.bytes)];
+    let (files, bytes) = (counted(view.files, "file"), counted(view.bytes, "byte"));
+    let mut lines = vec![format!("{}: {files}, {bytes}, keyrings of {profiles}", view.file)];
     lines.extend(view.notes.iter().map(|note| format!("note: {note}")));
     lines.join("\n")
 }

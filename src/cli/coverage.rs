@@ -3,7 +3,7 @@
 use clap::Args;
 
 use super::{parse, show::or_dash};
-use crate::model::Timestamp;
+use crate::model::{Timestamp, counted};
 use crate::service::reply::{CoveragePart, CoverageView, coverage_legend};
 use crate::service::{Failure, command::TopicCoverage};
 use authros_output::{Output, table};
@@ -79,9 +79,12 @@ fn strip(view: &CoverageView) -> String {
     ];
     let lossy: Vec<&CoveragePart> = view.parts.iter().filter(|part| part.lost > 0).collect();
     let listed = lossy.iter().take(MOST_LISTED);
-    lines.extend(listed.map(|part| format!("{}  {} messages lost", seconds(part.at), part.lost)));
+    lines.extend(listed.map(|part| format!("{}  {} lost", seconds(part.at), counted(part.lost, "message"))));
     if lossy.len() > MOST_LISTED {
-        lines.push(format!("and {} more parts with losses; --json shows all", lossy.len() - MOST_LISTED));
+        lines.push(format!(
+            "and {} with losses; --json shows all",
+            counted((lossy.len() - MOST_LISTED) as u64, "more part")
+        ));
     }
     lines.extend(recorded_by(view));
     lines.join("\n")

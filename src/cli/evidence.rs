@@ -168,10 +168,11 @@ async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
 }
 
 pub fn stamped(view: &StampView) -> String {
-    let mut lines = vec![format!("{} batches stamped, {} stamps pending", view.roots, view.waiting)];
+    let mut lines =
+        vec![format!("{} stamped, {} pending", counted(view.roots, "batch"), counted(view.waiting, "stamp"))];
     lines.extend(view.tokens.iter().map(|token| {
-        let (roots, before) = (token.roots, token.before);
-        format!("{roots} batches existed before {before}, according to the stamp of {}", token.authority)
+        let (roots, before) = (counted(token.roots, "batch"), token.before);
+        format!("{roots} existed before {before}, according to the stamp of {}", token.authority)
     }));
     lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it will be retried")));
     lines.join("\n")
@@ -434,15 +435,16 @@ impl Recording {
     }
 
     fn of(record: Digest, stated: &RecordedFile, compared: authros_evidence::recorded::Compared) -> Self {
-        let (name, chunks, differing) = (clean(&stated.name, 300), compared.chunks, compared.differing.len());
+        let (name, chunks, differing) =
+            (clean(&stated.name, 300), counted(compared.chunks, "chunk"), compared.differing.len());
         let text = match (compared.is_whole, compared.differing.first()) {
             (true, _) => format!("the recording is '{name}' as record {record} states it: all {} bytes", stated.length),
             (false, Some(first)) => format!(
-                "the recording DIFFERS from '{name}' as record {record} states it: {differing} of {chunks} chunks, the \
+                "the recording DIFFERS from '{name}' as record {record} states it: {differing} of {chunks}, the \
                  first at byte {first}; the proof holds for the file as it was, of which there may be a copy"
             ),
             (false, None) => format!(
-                "the recording DIFFERS from '{name}' as record {record} states it, though its {chunks} chunks do not: it \
+                "the recording DIFFERS from '{name}' as record {record} states it, though not in its {chunks}: it \
                  has {} bytes, and had {}; the proof holds for the file as it was, of which there may be a copy",
                 compared.length, stated.length
             ),

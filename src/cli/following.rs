@@ -8,7 +8,7 @@ use tokio::sync::broadcast::Receiver;
 use super::connect::{Context, ProfileNeed};
 use super::parse::{self, absolute};
 use super::{plan::CHAIN, printed, serve, serve::until_done};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, counted};
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::reply::{FollowView, FollowedFile};
 use crate::service::{Client, Event, Failure, event::NoticeLevel};
@@ -83,7 +83,12 @@ fn followed(view: &FollowView) -> String {
             text.push_str(&format!("\n{name}: byte {}: {}", damage.position, damage.text));
         }
         for row in &file.left_out {
-            text.push_str(&format!("\n{name}: left out: {} messages of '{}': {}", row.messages, row.topic, row.why));
+            text.push_str(&format!(
+                "\n{name}: left out: {} of '{}': {}",
+                counted(row.messages, "message"),
+                row.topic,
+                row.why
+            ));
         }
         if let Some(copy) = &file.attached {
             text.push_str(&format!("\n{name}: with its proof attached: {copy}"));

@@ -9,7 +9,7 @@ use clap::Subcommand;
 use super::connect::{Context, ProfileNeed};
 use super::plan::Plan;
 use super::{parse, show::Question};
-use crate::model::clean;
+use crate::model::{clean, counted};
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
 use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
 use crate::service::{Client, Failure, Needs};
@@ -91,8 +91,12 @@ pub fn status(view: &GatewayStatusView) -> String {
     let mut lines = Vec::new();
     match (&view.served, &view.through) {
         (Some(served), _) => lines.push(format!(
-            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {} connections",
-            served.address, served.gateway, served.fingerprint, served.account, view.connections
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {}",
+            served.address,
+            served.gateway,
+            served.fingerprint,
+            served.account,
+            counted(view.connections, "connection")
         )),
         (None, Some(through)) => lines.push(format!("no gateway here; this site has joined another one: {through}")),
         (None, None) => lines.push("no gateway here; `authros gateway serve` starts one".to_owned()),
@@ -108,7 +112,8 @@ pub fn status(view: &GatewayStatusView) -> String {
     }));
     lines.extend(view.senders.iter().map(|sender| {
         let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));
-        format!("{}  {}  {place}  {} frames, {} bytes", sender.name, sender.account, sender.frames, sender.bytes)
+        let (frames, bytes) = (counted(sender.frames, "frame"), counted(sender.bytes, "byte"));
+        format!("{}  {}  {place}  {frames}, {bytes}", sender.name, sender.account)
     }));
     lines.extend(view.refused.iter().map(|row| format!("refused {}: {}", row.count, row.text)));
     lines.join("\n")

@@ -4,7 +4,7 @@ use clap::Subcommand;
 
 use super::parse::{self, usage};
 use super::{plan::Plan, show::or_dash};
-use crate::model::Timestamp;
+use crate::model::{Timestamp, counted};
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
 use crate::service::reply::{IncidentView, SpanCoverageView};
@@ -109,7 +109,7 @@ pub fn incident(view: &IncidentView) -> String {
     let to = view.until.map_or_else(|| "now, until it is closed".to_owned(), Timestamp::in_milliseconds);
     let mut lines = vec![
         format!("{} ({}): {} to {to}", view.name, state(view), view.since.in_milliseconds()),
-        format!("{} records, {} bytes, held from retention", view.records, view.bytes),
+        format!("{}, {}, held from retention", counted(view.records, "record"), counted(view.bytes, "byte")),
     ];
     // Indented, so that no further line of a note looks like a note of its own.
     lines.extend(

@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::connect::{Context, ProfileNeed};
 use super::{parse, serve::until_done};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, counted};
 use crate::service::command::{Pace, Play, PlayWishes, StopPlay};
 use crate::service::reply::{PlayEnd, PlayedView};
 use crate::service::{Client, Failure, Needs};
@@ -96,15 +96,15 @@ pub async fn run(context: Context, arguments: PlayArguments, output: &Output) ->
 fn text(view: &PlayedView) -> String {
     let rows = view.topics.iter().map(|(topic, messages)| [topic.clone(), messages.to_string()]);
     let list = table(&["topic", "messages"], rows);
-    format!("{list}\n{} messages published in {:.1} s", view.published, view.seconds)
+    format!("{list}\n{} published in {:.1} s", counted(view.published, "message"), view.seconds)
 }
 
 fn code(view: &PlayedView, output: &Output) -> u8 {
     if view.missing > 0 {
-        output.note(&format!("authros: {} records are missing from the store: not published", view.missing));
+        output.note(&format!("authros: {} missing from the store: not published", counted(view.missing, "record")));
     }
     for (why, count) in &view.reasons {
-        output.note(&format!("authros: {count} records not published: {why}"));
+        output.note(&format!("authros: {} not published: {why}", counted(*count, "record")));
     }
     if view.dropped > 0 {
         let words = "messages: they read too slowly, or did not acknowledge them";

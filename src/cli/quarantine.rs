@@ -3,7 +3,7 @@
 use clap::{Args, Subcommand};
 
 use super::{parse, plan::Plan, show::or_dash, topics::TopicChoice};
-use crate::model::{ErrorKind, Publisher};
+use crate::model::{ErrorKind, Publisher, counted};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
 use crate::service::reply::{PinsView, QuarantineView};
@@ -112,5 +112,5 @@ pub fn held(view: &QuarantineView) -> String {
         [record.id.clone(), record.topic.clone(), record.seq.to_string(), reason, publisher, captured]
     });
     let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], rows);
-    format!("{list}\n{} messages in quarantine", view.messages)
+    format!("{list}\n{} in quarantine", counted(view.messages, "message"))
 }

@@ -11,7 +11,7 @@ use super::evidence::EvidenceVerb;
 use super::parties::ContactsVerb;
 use super::plan::Plan;
 use super::recordings::BagVerb;
-use crate::model::{ErrorKind, RecordState};
+use crate::model::{ErrorKind, RecordState, counted, grouped};
 use crate::ros::readable::{Plot, Readable, Table, file_of};
 use crate::service::command::{OpenShared, ViewFile};
 use crate::service::reply::{OpenedView, PathView};
@@ -94,7 +94,12 @@ pub fn head(view: &OpenedView) -> Vec<String> {
     let mut lines = vec![
         format!("{}  {}  seq {}  {verdict}{held}", record.id, record.topic, record.seq),
         format!("{}{} captured {}", record.type_name, from(&view.caller_id), record.captured_at.in_milliseconds()),
-        format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
+        format!(
+            "{}, sealed as {} ({})",
+            counted(record.bytes, "byte"),
+            grouped(view.stored),
+            compressed(&view.compression)
+        ),
     ];
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
     lines.extend(view.reason.iter().map(|reason| format!("not checked against the chain now: {reason}")));
@@ -143,7 +148,7 @@ fn tabled(view: &Table) -> String {
 
 pub fn path(view: &PathView) -> String {
     let unread = if view.unread > 0 { format!(", {} could not be read", view.unread) } else { String::new() };
-    let head = format!("{}: {} records{unread}", view.topic, view.records);
+    let head = format!("{}: {}{unread}", view.topic, counted(view.records as u64, "record"));
     let Some(Plot { axes, points, .. }) = &view.plot else { return head };
     let rows = points.iter().map(|(x, y)| [format!("{x:.4}"), format!("{y:.4}")]);
     format!("{head}\n{}", table(&[&axes.0, &axes.1], rows))

@@ -8,6 +8,7 @@ use super::connect::{Context, ProfileNeed};
 use super::parse::{self, absolute, usage};
 use super::printed::{self, LOOK};
 use super::{plan::CHAIN, serve::until_done};
+use crate::model::counted;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::command::{self, Ask};
 use crate::service::reply::{ExportView, ExportedTopic, ImportView};
@@ -171,12 +172,17 @@ fn imported(view: &ImportView) -> String {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }
     for topic in &view.left_out {
-        text.push_str(&format!("\nleft out: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
+        text.push_str(&format!(
+            "\nleft out: {} of '{}': {}",
+            counted(topic.messages, "message"),
+            topic.topic,
+            topic.why
+        ));
     }
     if view.unguarded > 0 {
         text.push_str(&format!(
-            "\n{} messages or attachments have no checksum in this file, so alterations before the import cannot be detected",
-            view.unguarded
+            "\nwithout a checksum in this file, so that alterations before the import cannot be detected: {}",
+            counted(view.unguarded, "message")
         ));
     }
     text
@@ -189,8 +195,10 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
     }
     let damages = view.damages.len() as u64 + view.more_damages;
     if damages > 0 {
-        output
-            .note(&format!("authros: the recording is damaged in {damages} places; everything readable was imported"));
+        output.note(&format!(
+            "authros: the recording is damaged in {}; everything readable was imported",
+            counted(damages, "place")
+        ));
     }
     if view.unfinished {
         output.note(
@@ -199,7 +207,7 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
         );
     }
     if view.skipped > 0 {
-        output.note(&format!("authros: {} messages were left out", view.skipped));
+        output.note(&format!("authros: left out: {}", counted(view.skipped, "message")));
     }
     if view.ended_early {
         output.note("authros: stopped before the end; repeat the command to continue");
@@ -221,11 +229,12 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
 fn exported(view: &ExportView) -> String {
     let row = |topic: &ExportedTopic| [topic.topic.clone(), topic.type_name.clone(), topic.messages.to_string()];
     let list = table(&["topic", "type", "messages"], view.topics.iter().map(row));
+    let messages = counted(view.messages, "message");
     match &view.file {
         Some(file) if view.attachments > 0 => {
-            format!("{list}\n{} messages and {} attachments written to {file}", view.messages, view.attachments)
+            format!("{list}\n{messages} and {} written to {file}", counted(view.attachments, "attachment"))
         }
-        Some(file) => format!("{list}\n{} messages written to {file}", view.messages),
+        Some(file) => format!("{list}\n{messages} written to {file}"),
         None => "nothing written: no readable record matches".to_owned(),
     }
 }
@@ -233,18 +242,18 @@ fn exported(view: &ExportView) -> String {
 fn export_code(view: &ExportView, output: &Output) -> u8 {
     let refused = view.refused;
     let words = [
-        (refused.tampered, "differ from what was anchored"),
-        (refused.missing, "are missing from the store"),
-        (refused.false_names, "have a false name, written by their signers"),
-        (refused.unanchored, "are not confirmed by the chain now (--unanchored writes them too)"),
-        (refused.no_key, "cannot be opened with this profile's keys"),
-        (refused.held, "are quarantined or discarded"),
-        (refused.no_definition, "have no readable definition of their type"),
-        (refused.unsuitable, "do not fit this format"),
-        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap, --rosbag2)"),
+        (refused.tampered, "different from what was anchored"),
+        (refused.missing, "missing from the store"),
+        (refused.false_names, "with a false name, written by the signer"),
+        (refused.unanchored, "not confirmed by the chain now (--unanchored writes them too)"),
+        (refused.no_key, "not readable with this profile's keys"),
+        (refused.held, "quarantined or discarded"),
+        (refused.no_definition, "of a type without a readable definition"),
+        (refused.unsuitable, "unfit for this format"),
+        (refused.attachments, "attached to a recording, which only MCAP has room for (--mcap, --rosbag2)"),
     ];
     for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
-        output.note(&format!("authros: {count} records {why}: not written"));
+        output.note(&format!("authros: not written: {} {why}", counted(count, "record")));
     }
     if !view.given.is_empty() {
         output.note(&format!(

@@ -116,17 +116,20 @@ fn text(view: &ErasureView) -> String {
     }];
     lines.extend(view.topics.iter().take(MOST_LISTED).map(|topic| format!("- {topic}")));
     if view.topics.len() > MOST_LISTED {
-        lines.push(format!("- and {} more topics; --json lists all", view.topics.len() - MOST_LISTED));
+        lines.push(format!(
+            "- and {}; --json lists all",
+            counted((view.topics.len() - MOST_LISTED) as u64, "more topic")
+        ));
     }
     let mut count = |count: u64, what: &str| {
         if count > 0 {
-            lines.push(format!("{count} {what}"));
+            lines.push(format!("{} {what}", counted(count, "record")));
         }
     };
-    count(view.waiting, "are not verified yet and stay; repeat this when they are");
-    count(view.gone, "were deleted or erased earlier");
-    count(view.other, "are quarantined, discarded or altered and stay");
-    count(view.missing, "stay because their bytes are missing or altered; `authros audit --deep` names them");
+    count(view.waiting, "not verified yet, kept; repeat this later");
+    count(view.gone, "deleted or erased earlier");
+    count(view.other, "quarantined, discarded or altered, kept");
+    count(view.missing, "kept, with the bytes missing or altered; see `authros audit --deep`");
     if !view.held.is_empty() {
         let names = view.held.join(", ");
         lines.push(format!("held by incidents: {names}; release them with `authros incident remove NAME --yes`"));

@@ -16,7 +16,7 @@ use super::plan::{self, Plan};
 use super::show::{Question, or_dash};
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::{PublicKey, SignerId, Timestamp, bytes::unhex, clean};
+use crate::model::{PublicKey, SignerId, Timestamp, bytes::unhex, clean, counted};
 use crate::service::reply::{DeviceRow, RingPullView, RobotRow, RobotTopicRow, RobotView, coverage_legend};
 use crate::service::{Failure, command, failure::input};
 
@@ -207,7 +207,7 @@ pub fn one(view: &RobotView) -> String {
     };
     let mut lines = vec![
         format!("robot '{}', device {}", row.name, row.device),
-        format!("last seen {}; {} of its records wait here", or_dash(row.last_seen), row.waiting),
+        format!("last seen {}; waiting here: {}", or_dash(row.last_seen), counted(row.waiting, "record")),
         wanted,
     ];
     lines.extend(row.running.map(|running| format!("it runs version {running}")));

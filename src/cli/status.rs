@@ -10,7 +10,7 @@ use clap::Subcommand;
 
 use super::connect::Context;
 use super::plan::{NEITHER, Plan};
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::{ErrorKind, Timestamp, counted};
 use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
 use crate::service::{Failure, doctor, failure::input, reply};
 
@@ -124,13 +124,14 @@ fn life(life: &reply::LifeLine) -> Vec<String> {
     let mut lines = vec![format!("{sum}: {verdict}"), lost];
     if right_ended > 0 {
         lines.push(format!(
-            "{right_ended} records wait: their signer is not authorised to sign for their owner; they resume when the \
+            "unauthorised: {}, whose signer may not sign for the owner; resumed when the \
              administrator restores the account (`authros chain admin restore`) or the device is authorised again (`authros \
-             robot authorise`)"
+             robot authorise`)",
+            counted(right_ended, "record")
         ));
     }
     if tampered > 0 {
-        lines.push(format!("{tampered} records are altered or MISSING: `authros audit` lists them"));
+        lines.push(format!("altered or MISSING: {}; see `authros audit`", counted(tampered, "record")));
     }
     lines
 }
@@ -160,7 +161,7 @@ pub fn standing(view: &reply::AlertsView) -> String {
         alerts => vec![table(&["since", "severity", "alert", "what"], alerts.iter().map(row))],
     };
     lines.extend(view.over.iter().map(over));
-    lines.push(format!("sent to: {}; {} deliveries pending, {} dropped", view.told, view.waiting, view.dropped));
+    lines.push(format!("sent to: {}; deliveries pending: {}, dropped: {}", view.told, view.waiting, view.dropped));
     lines.join("\n")
 }
 

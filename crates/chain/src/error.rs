@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::Value;
 
 use super::{Shortfall, transport::JsonRpcError};
-use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean};
+use crate::model::{Address, Consensus, ErrorKind, Wei, bytes::unhex, clean, counted};
 
 /// Advice where the pinned chain does not come back.
 pub const SEAL_ANEW: &str = "`authros --home NEW records import OLD` (seals all messages in a new home)";
@@ -149,8 +149,9 @@ pub fn passed_by(blocks: u64, price: Wei) -> String {
         0 => "the network produces no blocks; check its signers or miners".to_owned(),
         1 => format!("not included in 1 block at {price} per gas; wait for the next blocks"),
         _ => format!(
-            "not included in {blocks} blocks at {price} per gas; ask the network's operators for the lowest price they \
-             accept, then set chain.min_price or raise chain.max_fee"
+            "not included in {} at {price} per gas; ask the network's operators for the lowest price they \
+             accept, then set chain.min_price or raise chain.max_fee",
+            counted(blocks, "block")
         ),
     }
 }

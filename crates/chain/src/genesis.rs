@@ -119,7 +119,9 @@ impl Genesis {
             (GenesisKind::Ethash, 0) => None,
             (GenesisKind::Ethash, _) => Some("ethash has no signers; omit --signer".to_owned()),
             (kind, 0) => Some(format!("{kind} needs signers; give each with --signer")),
-            (_, count) if count > MOST_SIGNERS => Some(format!("{count} signers exceed the limit of {MOST_SIGNERS}")),
+            (_, count) if count > MOST_SIGNERS => {
+                Some(format!("at most {MOST_SIGNERS} signers are possible, not {count}"))
+            }
             (_, number) if number < self.signers.len() => Some("a signer is named twice".to_owned()),
             _ => None,
         };

@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::model::{Address, bytes::unhex};
+use crate::model::{Address, bytes::unhex, counted};
 use crate::{Chain, ChainError, Consensus, connect::RawBlock};
 use authros_evidence::validators_in;
 
@@ -165,7 +165,7 @@ impl SealedBy {
             "poa" if sealers > 1 => (
                 SealerKind::Authority,
                 false,
-                format!("proof of authority by {sealers} accounts, according to its node"),
+                format!("proof of authority by {}, according to its node", counted(sealers as u64, "account")),
             ),
             "pow" => {
                 let difficulty = difficulty.unwrap_or("unknown");

@@ -7,7 +7,7 @@ use crate::BundleError;
 use crate::report::{HeadsClaim, Reason, RecordReport, Standing, Stretch};
 use crate::verify::Messages;
 use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
-use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
+use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId, counted};
 use serde::{Deserialize, Serialize};
 
 const MOST_GAPS: usize = 100;
@@ -117,7 +117,10 @@ fn stretch((owner, signer, recorder, topic_id): Topic, numbered: &Numbered<'_>, 
 
 fn told(stretch: &Stretch, own_statements: bool) -> String {
     let Some((first, last)) = stretch.first.zip(stretch.last) else {
-        return format!("nothing can be claimed: the signers of its {} records are not proven", stretch.uncounted);
+        return format!(
+            "nothing can be claimed: the signers of its {} are not proven",
+            counted(stretch.uncounted, "record")
+        );
     };
     let named: Vec<String> = stretch.gaps.iter().take(10).map(|(from, to)| range(*from, *to)).collect();
     let mut text = match stretch.gaps.len() {
@@ -139,7 +142,10 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
         ));
     }
     if stretch.uncounted > 0 {
-        text.push_str(&format!("; and {} records whose signer is not proven, not counted", stretch.uncounted));
+        text.push_str(&format!(
+            "; and {} whose signer is not proven, not counted",
+            counted(stretch.uncounted, "record")
+        ));
     }
     match (stretch.twice.first(), stretch.standing) {
         (Some(number), _) => {
@@ -171,7 +177,10 @@ fn told_of_ring(stretch: &Stretch) -> String {
         parts.join(", ")
     );
     if stretch.uncounted > 0 {
-        text.push_str(&format!("; and {} records whose signer is not proven, not counted", stretch.uncounted));
+        text.push_str(&format!(
+            "; and {} whose signer is not proven, not counted",
+            counted(stretch.uncounted, "record")
+        ));
     }
     text
 }

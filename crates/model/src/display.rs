@@ -87,9 +87,10 @@ pub fn grouped(number: u64) -> String {
     text
 }
 
-/// `1 record`, `8,505 records`.
+/// `1 record`, `8,505 records`, `2 batches`.
 pub fn counted(count: u64, one: &str) -> String {
-    format!("{} {one}{}", grouped(count), if count == 1 { "" } else { "s" })
+    let ending = if one.ends_with('s') || one.ends_with("sh") || one.ends_with("ch") { "es" } else { "s" };
+    format!("{} {one}{}", grouped(count), if count == 1 { "" } else { ending })
 }
 
 /// [`clean`] for each line of a longer text, keeping the line breaks.
@@ -153,6 +154,8 @@ mod tests {
     fn numbers_are_grouped_and_their_nouns_counted() {
         assert_eq!([0, 999, 1_000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([0, 1, 8_505].map(|count| counted(count, "record")), ["0 records", "1 record", "8,505 records"]);
+        assert_eq!(["batch", "hash", "loss"].map(|one| counted(1, one)), ["1 batch", "1 hash", "1 loss"]);
+        assert_eq!(["batch", "hash", "loss"].map(|one| counted(2, one)), ["2 batches", "2 hashes", "2 losses"]);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::text::{as_text, is_name, names};
 use crate::topic_rule::{TopicRules, fits};
 use crate::wire::{Reader, Wire as _, WireError, put_list, read_list};
-use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, time_span};
+use crate::{ByteSize, Digest, Timestamp, TopicId, TopicPattern, clean, counted, time_span};
 
 const MOST_RULES: usize = 100;
 
@@ -213,7 +213,7 @@ impl FromStr for TopicPatterns {
         let patterns =
             patterns.map_err(|error: crate::topic_rule::PatternError| TopicPatternsError(error.to_string()))?;
         if patterns.len() > Self::MOST {
-            return Err(TopicPatternsError(format!("these are {} patterns", patterns.len())));
+            return Err(TopicPatternsError(format!("these are {}", counted(patterns.len() as u64, "pattern"))));
         }
         Ok(Self(patterns))
     }

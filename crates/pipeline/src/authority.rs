@@ -6,7 +6,7 @@ use tokio::task::block_in_place;
 use crate::chain::{BlockRef, QueryAnswer};
 use crate::crypto::signer_id;
 use crate::directory::{Account, Directory, Granted, Lending, kept};
-use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId};
+use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId, counted};
 use crate::store::{RecordRow, StoreError, WaitingSigner};
 use crate::{Network, PipelineError, Plant, Result};
 
@@ -362,7 +362,9 @@ fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<()> {
     let freed = all(|| plant.ledger.batches.free_signer(keeper, waiting.owner, waiting.signer))?;
     if freed > 0 {
         let owner = waiting.owner;
-        plant.observer.alert(false, format!("{freed} records of {owner} resume: their signer may sign again"));
+        plant
+            .observer
+            .alert(false, format!("{} of {owner} resumed: the signer may sign again", counted(freed, "record")));
         plant.observer.records_changed();
     }
     Ok(())

@@ -19,7 +19,7 @@ use crate::gateway::feed::{FeedId, MOST_NAMED};
 use crate::gateway::{
     Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, GatewayError, Place, Trust,
 };
-use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token};
+use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token, counted};
 use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
 use crate::{PipelineError, Plant, Result};
@@ -396,9 +396,8 @@ impl Line<'_> {
         }
         if !doubted.is_empty() {
             let text = format!(
-                "the gateway claims that {} records are verified, but its proofs do not show them in an anchored batch; they \
-                 are kept here as unverified",
-                doubted.len()
+                "the gateway claims to have verified {} that its proofs show in no anchored batch; kept here as unverified",
+                counted(doubted.len() as u64, "record")
             );
             self.outbox.plant.observer.alert(true, text);
         }
@@ -467,19 +466,16 @@ impl Line<'_> {
             observer.verified(verified);
         }
         if !unknown.is_empty() && ledger.forwarding.settle(unknown, RecordState::Stored)? > 0 {
-            let count = unknown.len();
+            let records = counted(unknown.len() as u64, "record");
             let text = format!(
-                "the gateway signed for {count} records but no longer has them; they are sent again, and its receipts are \
-                 kept"
+                "the gateway no longer has what it signed for, {records}: it is sent again, and the receipts are kept"
             );
             observer.alert(true, text);
         }
         if !tampered.is_empty() && ledger.forwarding.settle(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
-            let count = tampered.len();
-            let text = format!(
-                "{count} records were altered at the gateway after it signed for them; the originals are kept here"
-            );
+            let records = counted(tampered.len() as u64, "record");
+            let text = format!("altered at the gateway after it signed: {records}; the originals are kept here");
             observer.alert(true, text);
         }
         if !(verified.is_empty() && unknown.is_empty() && tampered.is_empty()) {

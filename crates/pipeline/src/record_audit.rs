@@ -21,7 +21,7 @@ use self::report::Tally;
 use crate::chain::{ChainError, Event, EventAt};
 use crate::columns::Keys;
 use crate::directory::Told;
-use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp};
+use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp, counted};
 use crate::store::notes::ScrubbedUpTo;
 use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
 use crate::watcher;
@@ -156,7 +156,10 @@ async fn compare(
         first = first.or((!found.is_empty()).then_some(block));
     }
     if differing.len() > MOST_BLOCKS {
-        let text = format!("events of {} blocks from {from} to {to} differ from the ledger; {ADVICE}", differing.len());
+        let text = format!(
+            "events of {} from {from} to {to} differ from the ledger; {ADVICE}",
+            counted(differing.len() as u64, "block")
+        );
         tally.find(FindingKind::Missing, "chain", &text);
     }
     if let Some(block) = first {

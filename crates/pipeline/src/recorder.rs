@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use crate::model::{
     Address, Doubt, LossReason, RecordKind, Sampling, Timestamp, TopicName, TopicRule, TopicRules, TypeName, WatchRule,
-    WatchRules, clean,
+    WatchRules, clean, counted,
 };
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
@@ -421,15 +421,16 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (true, format!("{caller_id} sends {found} on {topic}, not {wanted}: not captured"))
         }
         CaptureNotice::LostInTransport { topic, caller_id, count, .. } => {
-            (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
+            let messages = counted(count, "message");
+            (true, format!("{messages} of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
         CaptureNotice::ReadingBroken { reason } => (
             true,
             format!("reading ROS 2 broke off and is being restarted; missing messages will be counted: {reason}"),
         ),
         CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
-            let text = "vanished while ROS 2 was not read: at least";
-            (true, format!("{caller_id} on {topic} {text} {at_least} messages are missing, the end is unknown"))
+            let text = "vanished while ROS 2 was not read: the end is unknown; missing at least";
+            (true, format!("{caller_id} on {topic} {text} {}", counted(at_least, "message")))
         }
         CaptureNotice::Refused { topic, publisher, reason } => {
             (true, format!("{publisher} on {topic} was refused: {reason}"))

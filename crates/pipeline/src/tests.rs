@@ -36,7 +36,7 @@ impl Observer for Deaf {
     fn tampered(&self, _: &[Digest]) {}
     fn directory_changed(&self) {}
     fn alert(&self, _: bool, text: String) {
-        let of_rights = ["records are kept but not anchored", "resume: their signer", "will be anchored again"];
+        let of_rights = ["records are kept but not anchored", "resumed: the signer", "will be anchored again"];
         assert!(of_rights.iter().any(|words| text.contains(words)), "{text}");
     }
 }

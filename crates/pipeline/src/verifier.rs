@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::authority::{self, NoRight};
 use crate::crypto::{Anchor, Unchecked, check_deleted, check_many, fault};
-use crate::model::{Digest, PublicKey, RecordState};
+use crate::model::{Digest, PublicKey, RecordState, counted};
 use crate::retention::is_stated;
 use crate::stages::{Milestone, Stage};
 use crate::store::{RecordQuery, RecordRow};
@@ -121,8 +121,8 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<()> 
         plant.observer.verified(&digests);
     } else {
         plant.observer.tampered(&digests);
-        let count = digests.len();
-        let text = format!("{count} records differ from what was anchored, or are missing from the store");
+        let records = counted(digests.len() as u64, "record");
+        let text = format!("different from what was anchored, or missing from the store: {records}");
         plant.observer.alert(true, text);
     }
     plant.observer.records_changed();
@@ -134,7 +134,8 @@ fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<()> {
     let Some((_, why)) = passed.first() else { return Ok(()) };
     let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
     let moved = plant.ledger.batches.pass_over(&digests)?;
-    let text = format!("{moved} records will be anchored again because their block does not count: {why}");
+    let records = counted(moved, "record");
+    let text = format!("{records} will be anchored again, because the block does not count: {why}");
     plant.observer.alert(false, text);
     plant.observer.records_changed();
     Ok(())

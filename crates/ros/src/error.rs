@@ -50,7 +50,7 @@ pub enum RosError {
     NotAsNobody { program: String, reason: String },
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
     System { action: &'static str, reason: String },
-    #[error("cannot simulate {0} robots; the limit is {most}", most = crate::ros::MOST_ROBOTS)]
+    #[error("cannot simulate {0}; the limit is {most} robots", most = crate::ros::MOST_ROBOTS)]
     Robots(u16),
     #[error("{0} Hz is not a valid publishing rate; use a number above 0 and up to 1000")]
     Rate(String),

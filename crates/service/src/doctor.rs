@@ -9,7 +9,7 @@ use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
 use crate::config::Config;
 use crate::crypto::read_public;
 use crate::durability::worth;
-use crate::model::{ErrorKind, Timestamp, clean, coarse, without_secrets};
+use crate::model::{ErrorKind, Timestamp, clean, coarse, counted, grouped, without_secrets};
 use crate::paths::Home;
 use crate::pipeline::{network_pin_at, network_pin_in};
 use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
@@ -104,10 +104,13 @@ fn of_site(running: &Running, sheet: &mut Sheet) {
     }
     let LifeLine { verified, pending, tampered, conserved, .. } = site.life;
     if tampered > 0 || !conserved {
-        let text = format!("{tampered} records are altered or missing, or the counts do not balance");
+        let text = format!("altered or missing: {}; or the counts do not balance", counted(tampered, "record"));
         return sheet.fail("site", &text, "authros audit lists them; keep a copy of the home");
     }
-    sheet.ok("site", &format!("running; {verified} records of this profile verified, {pending} pending"));
+    sheet.ok(
+        "site",
+        &format!("running; {} of this profile verified, {} pending", counted(verified, "record"), grouped(pending)),
+    );
 }
 
 /// What is wrong, and what to do: a text has the second after a semicolon, or before a colon if it names a command.
@@ -220,8 +223,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
         None if name == EMBEDDED && head.number > 0 => {
-            let blocks = head.number;
-            let text = format!("the embedded chain has {blocks} blocks, and this home's store names no contract on it");
+            let blocks = counted(head.number, "block");
+            let text = format!("the embedded chain has {blocks}, and this home's store names no contract on it");
             let advice = "the store was lost: restore the last backup, or name the contract with --contract";
             sheet.fail("contract", &text, advice);
         }
@@ -293,10 +296,20 @@ fn home_folder(home: &Home, sheet: &mut Sheet) {
     let (mut open, mut looked) = (Vec::new(), 0);
     look_at_modes(root, &mut open, &mut looked, 0);
     match open.first() {
-        None => sheet.ok("home", &format!("{} and its {looked} files and directories are private", root.display())),
+        None => {
+            sheet.ok("home", &format!("{} and what it holds are private: {}", root.display(), counted(looked, "path")))
+        }
         Some(first) => {
             let advice = format!("chmod -R go= '{}'", root.display());
-            sheet.fail("home", &format!("{} of {looked} are accessible to others; {first}", open.len()), &advice);
+            sheet.fail(
+                "home",
+                &format!(
+                    "accessible to others: {} of {}; {first}",
+                    grouped(open.len() as u64),
+                    counted(looked, "path")
+                ),
+                &advice,
+            );
         }
     }
 }
@@ -368,14 +381,14 @@ fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
     let missed = glance.as_ref().ok().and_then(|ledger| ledger.note(&StoreWasGone {}).ok().flatten());
     match missed.filter(|_| !is_bound(home, config)) {
         Some(missed) => sheet.fail("store", &store_loss(home, missed), STORE_LOST),
-        None => sheet.ok("store", &format!("{} is well-formed, {bytes} bytes", path.display())),
+        None => sheet.ok("store", &format!("{} is well-formed, {}", path.display(), counted(bytes, "byte"))),
     }
     notes(glance.and_then(|ledger| ledger.check_notes()), sheet);
 }
 
 fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
     match checked {
-        Ok(count) => sheet.ok("notes", &format!("all {count} notes in the store are readable")),
+        Ok(count) => sheet.ok("notes", &format!("the store's notes are readable: {}", grouped(count))),
         Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
     }
 }
@@ -519,7 +532,10 @@ fn ros_master(config: &Config, sheet: &mut Sheet) {
     }
     match graph.unreached() {
         Ok((tried, unreached)) if unreached.is_empty() => {
-            sheet.ok("ros nodes", &format!("all {tried} publishers answer at the addresses they announced"));
+            sheet.ok(
+                "ros nodes",
+                &format!("answering at the address that it announced: {}", counted(tried as u64, "publisher")),
+            );
         }
         Ok((tried, unreached)) => {
             let one = |node: &crate::ros::graph::Unreached| format!("{} at {}: {}", node.node, node.place, node.reason);

@@ -7,7 +7,7 @@ use sm3::{Digest as _, Sm3};
 use super::StoreError;
 use crate::database::{capped, whole};
 use crate::ledger::{AuditLog, time, unsigned};
-use crate::model::{Digest, Timestamp};
+use crate::model::{Digest, Timestamp, counted};
 use crate::sql::{self, Connection, Row, params};
 
 const LABEL: &[u8] = b"AuthROS/audit/1";
@@ -98,7 +98,7 @@ impl AuditLog {
             }
             let written = self.head().map_or(0, |(count, _)| count);
             let (first, what) = match found {
-                None => (written + 1, format!("is missing: a head over {line} lines was anchored")),
+                None => (written + 1, format!("is missing: a head over {} was anchored", counted(line, "line"))),
                 Some(_) => {
                     (agreed + 1, format!("or a later one up to {line} was rewritten: another head was anchored"))
                 }

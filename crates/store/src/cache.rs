@@ -20,7 +20,7 @@ use self::servers::{Answer, Servers};
 use crate::StoreError;
 use crate::ciphertext::Ciphertext;
 use crate::crypto::sm3::sm3;
-use crate::model::{Digest, Timestamp};
+use crate::model::{Digest, Timestamp, counted};
 
 /// Further records are not written to the cache.
 const MOST_WAITING: usize = 16 * 1024;
@@ -70,9 +70,9 @@ pub struct Away {
 impl CacheState {
     pub fn line(&self) -> String {
         let Self { url, hits, misses, wrong, .. } = self;
-        let mut line = format!("{url}: {hits} hits, {misses} misses");
+        let mut line = format!("{url}: {}, {}", counted(*hits, "hit"), counted(*misses, "miss"));
         if *wrong > 0 {
-            line.push_str(&format!(", {wrong} wrong answers"));
+            line.push_str(&format!(", {}", counted(*wrong, "wrong answer")));
         }
         if let Some(away) = &self.away {
             line.push_str(&format!("; away since {}: {}", away.since, away.why));

@@ -7,7 +7,9 @@ use tokio::task::block_in_place;
 use super::{Genuine, Listener, Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
-use crate::model::{Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict, head::SIMULATED};
+use crate::model::{
+    Address, ErrorKind, ProfileName, RecordKind, Timestamp, TopicName, Verdict, counted, grouped, head::SIMULATED,
+};
 use crate::pipeline::{Network, Owner, authority, chain_proofs, reader::Reader};
 use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
@@ -71,7 +73,8 @@ impl Mission {
         block_in_place(|| listener.listen());
         let network = site.network().await?;
         let place = robots.domain.map(|domain| format!(" in ROS 2 domain {domain}")).unwrap_or_default();
-        output.note(&format!("{number} SIMULATED robots{place}; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
+        let simulated = counted(number.into(), "SIMULATED robot");
+        output.note(&format!("{simulated}{place}; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
         let milliseconds = seconds * 1000;
         let mut tags = vec![("mission".to_owned(), "crime-scene".to_owned())];
         // The site does not know the robots of a ROS 2 domain as simulated.
@@ -104,16 +107,20 @@ impl Mission {
     /// Leaves the site running.
     pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10, has_what_is_shown).await?;
-        self.output
-            .note(&format!("A captured and anchored {} messages, {} of them verified", first.captured, first.verified));
+        self.output.note(&format!(
+            "A captured and anchored {}, {} of them verified",
+            counted(first.captured, "message"),
+            grouped(first.verified)
+        ));
         self.grant().await?;
         let records = self.shared_records().await?;
         let mut story =
             Story { captured: first.captured, verified: first.verified, lost: first.lost, ..Story::default() };
         self.open_all(&records, &mut story).await?;
         self.output.note(&format!(
-            "A granted B; B checked and opened {} records, restored {} pictures",
-            story.opened_by_grantee, story.restored_images
+            "A granted B; B checked and opened {}, restored {}",
+            counted(story.opened_by_grantee, "record"),
+            counted(story.restored_images, "picture")
         ));
         story.refused_stranger = self.stranger_is_refused(&records).await?;
         story.refused_tampered = self.tampering_is_refused(&records).await?;
@@ -125,8 +132,11 @@ impl Mission {
         story.verified += second.verified;
         story.lost += second.lost;
         story.opened_after_revoke = self.open_after_revoke(revoked_at, &kept).await?;
-        self.output
-            .note(&format!("A revoked B; of {} later records B opened {}", second.captured, story.opened_after_revoke));
+        self.output.note(&format!(
+            "A revoked B; of {} B opened {}",
+            counted(second.captured, "later record"),
+            story.opened_after_revoke
+        ));
         story.anchored = self.anchored().await?;
         story.chain = self.work().await?;
         let all = u64::try_from(records.len()).unwrap_or(0);

@@ -9,7 +9,7 @@ use serde_json::{Map, Value, json};
 use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
 use super::world::{KEPT, Tries};
 use super::{machine::Answer, node::Node, pool::TRANSACTION_GAS};
-use crate::model::{Address, Hash, clean};
+use crate::model::{Address, Hash, clean, counted};
 use crate::transaction::Unsigned;
 use crate::transport::{JsonRpcError, TransportError, refused};
 
@@ -208,7 +208,10 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();
     let slots = parameters.at(1, slots)?;
     if slots.len() > MOST_SLOTS {
-        return Err(refused(-32005, format!("a proof of {} slots; ask for at most {MOST_SLOTS}", slots.len())));
+        return Err(refused(
+            -32005,
+            format!("a proof of {}; ask for at most {MOST_SLOTS}", counted(slots.len() as u64, "slot")),
+        ));
     }
     let number = match parameters.0.get(2) {
         None | Some(Value::Null) => node.head.number,

@@ -1,7 +1,7 @@
 //! Locking: by a key, or after a time without one.
 
 use crate::app::{Errand, Popup, Purpose, State, Tag};
-use crate::model::Timestamp;
+use crate::model::{Timestamp, counted};
 use crate::screens::pane::state::Detail;
 use crate::service::Command;
 
@@ -29,9 +29,9 @@ pub fn when_due(state: &mut State) {
     // A clock that was set back does not put it off.
     state.touched = state.touched.min(state.now);
     if due(state).is_some_and(|at| at <= state.now) {
-        let minutes = state.settings.lock_after.unwrap_or(0) / 60_000_000_000;
+        let minutes = counted(state.settings.lock_after.unwrap_or(0) / 60_000_000_000, "minute");
         state.warn(format!(
-            "locked: by this machine's clock, {minutes} minutes passed without a key press; a running capture \
+            "locked: by this machine's clock, {minutes} passed without a key press; a running capture \
              continues, u unlocks"
         ));
         lock(state);

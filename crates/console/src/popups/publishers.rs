@@ -1,7 +1,7 @@
 //! A topic's publishers: pinned, suspect, quarantined.
 
 use crate::app::{Key, Lookup, Popup, State, Verb};
-use crate::model::clean;
+use crate::model::{clean, counted};
 use crate::screens::{grants::state::day, topics::draw::watch_rule};
 use crate::service::Failure;
 use crate::service::reply::{AlarmView, PinView, PinsView};
@@ -43,7 +43,10 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Piece> {
     lines.extend(view.pins.iter().flat_map(|pin| pinned(pin, &now)));
     lines.extend(view.alarms.iter().flat_map(alarm));
     if let Some(held) = row.map(|row| row.quarantined).filter(|held| *held > 0) {
-        lines.push((format!("{held} messages are quarantined: r releases, D discards (on the screen)"), Role::Warning));
+        lines.push((
+            format!("{} quarantined: r releases, D discards (on the screen)", counted(held, "message")),
+            Role::Warning,
+        ));
     }
     lines
 }

@@ -1,6 +1,7 @@
 //! Leaving: what stops with this console and what continues; now, once all is verified, or after pausing the capture.
 
 use crate::app::{Effect, Errand, Feed, Key, Popup, State, Tag};
+use crate::model::counted;
 use crate::popups::state::Leaving;
 use crate::screens::{topics, topics::capture::not_captured};
 use crate::service::Command;
@@ -44,7 +45,7 @@ fn record_lines(state: &State) -> Vec<String> {
     let records = match state.pending_records() {
         0 => return Vec::new(),
         1 => "1 record is not verified yet".to_owned(),
-        more => format!("{more} records are not verified yet"),
+        more => format!("{} are not verified yet", counted(more, "record")),
     };
     if !ends(state) {
         return vec![format!("{records}; the site continues with them.")];

@@ -1,6 +1,7 @@
 //! Who can read these topics now.
 
 use crate::app::{Feed, State};
+use crate::model::counted;
 use crate::screens::grants;
 use crate::screens::grants::state::{end, is_active, is_given, scope};
 use crate::service::reply::GrantRow;
@@ -21,7 +22,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, topics: &[String]) {
         lines.extend(may.map(|row| (reader(row), Role::Body)));
     }
     if topics.len() > 8 {
-        lines.push((format!("and {} more topics", topics.len() - 8), Role::Dim));
+        lines.push((format!("and {}", counted((topics.len() - 8) as u64, "more topic")), Role::Dim));
     }
     if !topics.is_empty() && state.awaits(Feed::Grants) {
         lines.push(("(the list of grants has not arrived yet)".to_owned(), Role::Warning));

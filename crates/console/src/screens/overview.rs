@@ -2,7 +2,7 @@
 
 use crate::app::history::{Flow, Period, Sample, highest};
 use crate::app::{Feed, State, alerts::Alert, alerts::is_troubled, history};
-use crate::model::clean;
+use crate::model::{clean, counted};
 use crate::screens::{grants::state::is_given, topics::draw::watched};
 use crate::service::reply::{LifeLine, SiteView};
 use crate::ui::graph::{Graph, SIDE, Scale};
@@ -60,11 +60,12 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
             // Simulation must show, whatever else is cut.
             let badge = canvas.put_right(rest, "SIMULATED", Role::Badge);
             rest.width -= badge;
-            let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
+            let robots = canvas.put_right(rest, &format!(" {} ", counted(site.robots.into(), "robot")), Role::Body);
             rest.width -= robots;
         }
         // The badge at the right names the robots already.
-        let text = part.text.strip_suffix(&format!(", {} SIMULATED robots", site.robots)).unwrap_or(&part.text);
+        let robots = format!(", {}", counted(site.robots.into(), "SIMULATED robot"));
+        let text = part.text.strip_suffix(&robots).unwrap_or(&part.text);
         canvas.puts(rest, &[(dot, role), (" ", Role::Body), (text, Role::Body)]);
     }
     below(area, u16::try_from(site.health.len()).unwrap_or(4))

@@ -3,7 +3,7 @@
 use ratatui::layout::Rect;
 
 use crate::app::Lookup;
-use crate::model::clean;
+use crate::model::{clean, counted};
 use crate::ui::canvas::{Canvas, columns, right_of, row, rows};
 use crate::ui::{theme::Role, words::wrap};
 
@@ -88,7 +88,11 @@ pub fn put_lines_above(canvas: &mut Canvas, area: Rect, lines: &[Vec<Piece>], sc
         canvas.puts(row(area, place), &pieces);
     }
     if lines.len() > first + height && height > 0 {
-        canvas.put_right(edge, &format!(" {} more lines below ", lines.len() - first - height), Role::Dim);
+        canvas.put_right(
+            edge,
+            &format!(" {} below ", counted((lines.len() - first - height) as u64, "more line")),
+            Role::Dim,
+        );
     }
 }
 

@@ -14,7 +14,7 @@ use tokio::time::sleep;
 use super::{CopyKeeping, Errand, ForwardError, Gate, LONGEST_RETRY, Link, Pace, Proofs, is_about_a_record};
 use crate::crypto::random_bytes;
 use crate::gateway::{Client, GatewayError, Upload};
-use crate::model::{Address, Digest, RecordState, Timestamp, clean};
+use crate::model::{Address, Digest, RecordState, Timestamp, clean, counted};
 use crate::store::files::free_bytes;
 use crate::store::{KeptReceipt, RecordQuery};
 use crate::{PipelineError, Plant, Result};
@@ -307,8 +307,8 @@ impl Outbox {
         if !spoilt.is_empty() {
             self.plant.ledger.records.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
-            let count = spoilt.len();
-            let text = format!("{count} records in the outbox are damaged or missing; they were not sent");
+            let records = counted(spoilt.len() as u64, "record");
+            let text = format!("damaged or missing in the outbox, and not sent: {records}");
             self.plant.observer.alert(true, text);
         }
         Ok(window)
@@ -338,7 +338,10 @@ impl Outbox {
             let oldest = self.plant.ledger.forwarding.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
             if !oldest.is_empty() {
                 self.give_up(&oldest)?;
-                let text = format!("the disk is nearly full: {} proven records were deleted early", oldest.len());
+                let text = format!(
+                    "deleted early, because the disk is nearly full: {}",
+                    counted(oldest.len() as u64, "proven record")
+                );
                 self.plant.observer.alert(false, text);
             }
         }

@@ -272,7 +272,7 @@ async fn what_a_gateway_has_lost_is_sent_again_and_said() {
     let _work = scene.work();
     scene.until_state(RecordState::Submitted, 30).await;
     scene.stage.desk.state().records.clear();
-    scene.until("told", |scene| scene.notes.with("no longer has them") > 0).await;
+    scene.until("told", |scene| scene.notes.with("no longer has what") > 0).await;
     scene.until("sent again", |scene| scene.at_gateway() == 30).await;
     scene.until_state(RecordState::Submitted, 30).await;
     scene.stage.desk.state().spoilt = true;
@@ -376,7 +376,7 @@ async fn what_the_gateway_cannot_prove_stays_unverified_and_here() {
     scene.stage.desk.state().proofless = true;
     scene.verify();
     let _work = scene.work();
-    scene.until("told", |scene| scene.notes.with("its proofs do not show them") > 0).await;
+    scene.until("told", |scene| scene.notes.with("its proofs show in no anchored batch") > 0).await;
     scene.forwarder().tidy().expect("tidies");
     assert_eq!((scene.counts().data_in(RecordState::Verified), scene.kept_here()), (0, 20));
     scene.stage.desk.state().proofless = false;

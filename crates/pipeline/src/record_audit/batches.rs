@@ -11,7 +11,7 @@ use super::{Network, Plant, Scope, Stop};
 use crate::PipelineError;
 use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::chain_proofs::is_root_in;
-use crate::model::{Address, Digest, Hash, Timestamp};
+use crate::model::{Address, Digest, Hash, Timestamp, counted, grouped};
 use crate::record_audit;
 use crate::store::notes::{CopiedAt, RestoredAt};
 use crate::store::{AuditedBatch, Inspection, Notes, StoreError};
@@ -43,7 +43,7 @@ pub(super) fn compare(
         // Of a batch that another ledger closed, only what came here is known: a reader's grant covers some of it, and a
         // record that came twice has its place in the first proof.
         for batch in page.iter().filter(|batch| batch.closed_here && batch.held != batch.count) {
-            let text = format!("{} of its {} records are in the ledger", batch.held, batch.count);
+            let text = format!("the ledger has {} of its {}", grouped(batch.held), counted(batch.count, "record"));
             tally.find(FindingKind::Missing, &name(&batch.root), &text);
         }
         if let Some(network) = asked
@@ -109,7 +109,11 @@ async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, 
     match chain.root_anchored(account, batch.root).await? {
         None => return Ok(Some(format!("{account} never anchored this root on the chain"))),
         Some((_, count)) if count != batch.count => {
-            return Ok(Some(format!("on the chain it covers {count} records, in the ledger {}", batch.count)));
+            return Ok(Some(format!(
+                "on the chain it covers {}, in the ledger {}",
+                counted(count, "record"),
+                grouped(batch.count)
+            )));
         }
         // A skipped anchor is followed by another one of the same root.
         Some((found, _)) if found != block && !is_root_in(chain, account, batch.root, batch.count, block).await? => {
@@ -144,9 +148,8 @@ async fn walk(plant: &Plant, network: &Network, scope: &Scope, tally: &mut Tally
     }
     if walk.elsewhere > 0 {
         tally.note(&format!(
-            "{} batches or records of these accounts were anchored by another home after this one was restored from a \
-             backup",
-            walk.elsewhere
+            "batches or records of these accounts that another home anchored after this one was restored from a backup: {}",
+            grouped(walk.elsewhere)
         ));
     }
     tally.join(walk.found);

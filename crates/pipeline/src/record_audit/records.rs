@@ -17,7 +17,7 @@ use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
 use crate::columns::Keys;
 use crate::crypto::Provider;
-use crate::model::{RecordState, Timestamp, clean};
+use crate::model::{RecordState, Timestamp, clean, counted};
 use crate::store::{AuditedRecord, StoreError};
 
 const PAGE: usize = 512;
@@ -84,15 +84,14 @@ fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
     // Records whose bytes are not here reveal nothing about their tags.
     let strangers = plant.ledger.inspection.size_of_index(tally.last)?.saturating_sub(tally.indexed);
     if strangers > 0 && tally.unread == 0 {
-        let text =
-            format!("{strangers} entries of the tag index match no header: searches find records they should not");
+        let text = format!("{} without a header: searches find records they should not", counted(strangers, "tag"));
         tally.find(FindingKind::Tampered, "index of tags", &text);
     }
     if tally.unnamed > 0 {
         let text = format!(
-            "topic and type names and the SIMULATED mark of {} records were not compared: they are sealed, and no open \
-             keyring has their pseudonyms",
-            tally.unnamed
+            "topic and type names and the SIMULATED mark of {} were not compared: they are sealed, and no open keyring \
+             has their pseudonyms",
+            counted(tally.unnamed, "record")
         );
         tally.note(&text);
     }
@@ -353,7 +352,7 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
     }
     if !elsewhere.is_empty() {
         let more = elsewhere.len().saturating_sub(MOST_HOLES);
-        let more = if more > 0 { format!(" and of {more} more topics") } else { String::new() };
+        let more = if more > 0 { format!(" and of {}", counted(more as u64, "more topic")) } else { String::new() };
         elsewhere.truncate(MOST_HOLES);
         tally.note(&format!(
             "numbers that robots assigned are missing here: {}{more}; their records are on their way, at another \
@@ -363,8 +362,8 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
     }
     for (topic, count) in plant.ledger.inspection.backwards()? {
         tally.note(&format!(
-            "{count} records of {} are dated earlier than the record before them: the clock was set back, or a \
-             recording was imported",
+            "dated earlier than the record before, because the clock was set back or a recording was imported: {} of {}",
+            counted(count, "record"),
             clean(&topic, 200)
         ));
     }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use crate::chain::{Event, EventAt};
-use crate::model::{Address, Digest, Hash, Timestamp};
+use crate::model::{Address, Digest, Hash, Timestamp, counted};
 use crate::pipeline::{Plant, Result};
 use crate::store::AuditEntry;
 use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
@@ -14,9 +14,9 @@ const RECENT: u64 = 24 * 3600 * 1_000_000_000;
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
 pub fn text(found: &ForeignAnchors) -> String {
-    let ForeignAnchors { account, count, block, .. } = found;
+    let (ForeignAnchors { account, block, .. }, times) = (found, counted(found.count, "time"));
     format!(
-        "{account} anchored {count} times without this home sending it, last in block {block}: a copy of this home is \
+        "{account} anchored {times} without this home sending it, last in block {block}: a copy of this home is \
          running elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
          (`authros chain succession propose LOST SUCCESSOR`)"
     )

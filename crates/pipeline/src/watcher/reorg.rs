@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 
 use super::{beginning, first_block, stands};
 use crate::chain::{BlockEvents, BlockRef, ChainError, Completeness, NEAR};
-use crate::model::{Hash, Timestamp};
+use crate::model::{Hash, Timestamp, counted};
 use crate::store::notes::{AwaitedBlock, MissedFrom, NodeBehind, UnsureBlock, UnsureBlocks};
 use crate::store::{Note, Notes};
 use crate::{Network, PipelineError, Plant, Result};
@@ -132,7 +132,8 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     let (moved, deep) = plant.ledger.batches.take_back(from)?;
     plant.ledger.trail.walk_back(common)?;
     let depth = was_at.saturating_sub(common.0);
-    let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
+    let (blocks, records) = (counted(depth, "block"), counted(moved, "record"));
+    let text = format!("the chain replaced its last {blocks}; {records} will be anchored again");
     if deep > 0 {
         let confirmations = network.confirmations;
         let text = format!(

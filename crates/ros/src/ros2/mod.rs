@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crate::model::TopicName;
+use crate::model::{TopicName, counted};
 use crate::pipe::read::{Told, Wish};
 use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
@@ -178,7 +178,7 @@ impl Standing {
     pub fn text(&self) -> String {
         let Counts { participants, writers, foreign } = self.counts;
         let place = format!("ROS 2 domain {}", self.domain);
-        let some = |number: u32, what: &str| format!("{number} {what}{}", if number == 1 { "" } else { "s" });
+        let some = |number: u32, what: &str| counted(u64::from(number), what);
         let there = some(participants, "participant");
         match &self.reading {
             Reading::Down { reason } => format!("{place} cannot be read: {reason}"),

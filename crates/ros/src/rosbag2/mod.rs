@@ -9,7 +9,7 @@ use std::io::{BufRead as _, BufReader, BufWriter, Read, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::model::clean;
+use crate::model::{clean, counted, grouped};
 use crate::ros::mcap::{AttachedFile, Beside};
 use crate::ros::recording::{
     Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why,
@@ -185,7 +185,7 @@ impl FolderReader {
         let mut recording = match opened {
             Ok(recording) => recording,
             Err(error) => {
-                let lost = self.metadata.of_file.get(&name).map(|count| format!(" ({count} messages)"));
+                let lost = self.metadata.of_file.get(&name).map(|count| format!(" ({})", counted(*count, "message")));
                 self.findings.note(0, &format!("{name} was left out{}: {error}", lost.unwrap_or_default()));
                 return Ok(());
             }
@@ -210,10 +210,14 @@ impl FolderReader {
             *met.entry(row.topic.as_str().into()).or_default() += row.messages;
         }
         let all: u64 = met.values().sum();
-        for (topic, counted) in &self.metadata.topics {
+        for (topic, stated) in &self.metadata.topics {
             let met = met.get(topic.as_str()).copied().unwrap_or_default();
-            if *counted != met {
-                let text = format!("{METADATA} counts {counted} messages of '{topic}', but {met} are there");
+            if *stated != met {
+                let text = format!(
+                    "{METADATA} counts {} of '{topic}', the folder has {}",
+                    counted(*stated, "message"),
+                    grouped(met)
+                );
                 self.findings.note(0, &text);
             }
         }

@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::time::Duration;
 
 use crate::config::AlertLimits;
-use crate::model::{Timestamp, coarse};
+use crate::model::{Timestamp, coarse, counted, grouped};
 use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures, short};
 use crate::service::reply::{AlertView, HealthLevel, PartHealth, Severity};
 
@@ -158,8 +158,9 @@ impl Judge {
         let losing = losses.grew.is_some_and(|grew| passed(figures.now, grew) < LOSING);
         let (lost, untold) = (total.saturating_sub(losses.first), figures.untold_gaps);
         let text = format!(
-            "Messages are being lost: {lost} since this site was started, and {untold} losses are not in a gap record \
-             yet. See `authros status`."
+            "Messages are being lost: {} since this site was started; not in a gap record yet: {}. See `authros status`.",
+            grouped(lost),
+            counted(untold, "loss")
         );
         Judged::new("gap", Severity::Warning, firing(losing || untold > 0), text)
     }
@@ -224,13 +225,14 @@ impl Judge {
 fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let (account, held, tampered) = (&owner.owner, owner.life.quarantined, owner.life.tampered);
     let text = format!(
-        "{held} messages for account {account} are quarantined: their publisher is not pinned. Release or discard \
-         them; see `authros topics quarantine list`."
+        "Quarantined for account {account}, because the publisher is not pinned: {}. Release or discard what is held; \
+         see `authros topics quarantine list`.",
+        counted(held, "message")
     );
     let held = Judged::new(format!("quarantine/{account}"), Severity::Warning, firing(held > 0), text);
     let text = format!(
-        "{tampered} records of account {account} do not match the chain. Run `authros audit`, and restore the home \
-         from a backup."
+        "Different from the chain: {} of account {account}. Run `authros audit`, and restore the home from a backup.",
+        counted(tampered, "record")
     );
     [held, Judged::new(format!("tampered/{account}"), Severity::Critical, firing(tampered > 0), text)]
 }

@@ -86,7 +86,7 @@ impl GrantForesight {
         let epochs = match self.epochs {
             0 => return transactions,
             1 => "a new epoch".to_owned(),
-            several => format!("{several} new epochs"),
+            several => counted(several as u64, "new epoch"),
         };
         let readers = counted(self.readers as u64, "other reader");
         let get = if self.readers == 1 { "gets" } else { "get" };
@@ -95,8 +95,8 @@ impl GrantForesight {
             [] => "no robot is told".to_owned(),
             [one] => format!("the robot {one} is told; until it hears, this reader opens nothing that it seals"),
             many => format!(
-                "{} robots are told ({}); until one hears, this reader opens nothing that it seals",
-                many.len(),
+                "{} are told ({}); until one hears, this reader opens nothing that it seals",
+                counted(many.len() as u64, "robot"),
                 clean(&many.join(", "), 60)
             ),
         };

@@ -17,7 +17,7 @@ use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
 use crate::failure::{internal, refused};
 use crate::gateway::Context;
 use crate::model::{
-    Digest, ErrorKind, ProfileName, RecordState, RecorderPrefix, SignerId, TopicName, TopicPatterns, clean,
+    Digest, ErrorKind, ProfileName, RecordState, RecorderPrefix, SignerId, TopicName, TopicPatterns, clean, counted,
 };
 use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
@@ -445,8 +445,8 @@ fn words(brought: &Brought) -> String {
     }
     let topics: Vec<&str> = brought.topics.iter().map(String::as_str).collect();
     format!(
-        "{} messages of {} were moved from the ring to the outbox",
-        brought.messages,
+        "moved from the ring to the outbox: {} of {}",
+        counted(brought.messages, "message"),
         clean(&topics.join(", "), 200)
     )
 }

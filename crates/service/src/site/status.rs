@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use super::{NetworkState, RosState, Site};
 use crate::chain::{Call, Chain, Priced, Shortfall, offered};
 use crate::durability;
-use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, without_secrets};
+use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, counted, without_secrets};
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
@@ -85,9 +85,10 @@ impl Site {
         let (level, text) = match &*self.ros.state() {
             RosState::Off => (HealthLevel::Absent, "not running in this site".to_owned()),
             RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
-            RosState::Up(link) if link.embedded => {
-                (HealthLevel::Ok, format!("embedded master at {}, {} SIMULATED robots", link.uri, link.robots))
-            }
+            RosState::Up(link) if link.embedded => (
+                HealthLevel::Ok,
+                format!("embedded master at {}, {}", link.uri, counted(link.robots.into(), "SIMULATED robot")),
+            ),
             RosState::Up(link) => (HealthLevel::Ok, link.uri.clone()),
             RosState::Down { failure, .. } => (HealthLevel::Failed, failure.message.clone()),
         };

@@ -3,7 +3,7 @@
 use ratatui::layout::Position;
 
 use crate::app::{Form, Input, Line, State, when};
-use crate::model::clean;
+use crate::model::{clean, counted};
 use crate::ui::{Canvas, Rect, Role, columns, framed, right_of, row, rows, words::wrap};
 
 const LABEL: u16 = 13;
@@ -51,7 +51,7 @@ fn shortened(mut lines: Vec<String>, room: u16) -> Vec<String> {
     let left = lines.len().saturating_sub(room - 1);
     if left > 1 {
         lines.truncate(room - 1);
-        lines.push(format!("… {left} more lines"));
+        lines.push(format!("… {}", counted(left as u64, "more line")));
     }
     lines
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::app::{Errand, Field, Form, Line, PathKind, Popup, Purpose, State, Tag, completion};
+use crate::model::counted;
 use crate::service::Command;
 
 pub fn folder_line(state: &State) -> Line {
@@ -12,10 +13,7 @@ pub fn folder_line(state: &State) -> Line {
 
 pub fn begin(state: &mut State) {
     let ids = state.marked_keys();
-    let title = match ids.len() {
-        1 => "Export 1 record".to_owned(),
-        count => format!("Export {count} records"),
-    };
+    let title = format!("Export {}", counted(ids.len() as u64, "record"));
     let notes = vec![
         "Writes the files for others to check: ciphertext, header, proof.".to_owned(),
         "Each record gets a new folder; nothing is overwritten.".to_owned(),

@@ -1,7 +1,7 @@
 //! How many messages of watched topics are kept: the form, and what it sends.
 
 use crate::app::{Errand, Field, Form, Line, Need, Popup, Purpose, State, Tag, Wrong, identity_path};
-use crate::model::{Sampling, topic_rule::SamplingError};
+use crate::model::{Sampling, counted, topic_rule::SamplingError};
 use crate::service::{Command, reply::TopicRow};
 
 const RATE: usize = 0;
@@ -11,7 +11,7 @@ pub fn begin(state: &mut State) {
     let form = match state.topics.watched_targets().as_slice() {
         [] => return,
         [one] => form(&format!("Limit {}", one.topic), one),
-        [first, more @ ..] => form(&format!("Limit {} topics", more.len() + 1), first),
+        [first, more @ ..] => form(&format!("Limit {}", counted(more.len() as u64 + 1, "topic")), first),
     };
     state.popups.push(Popup::Form(Purpose::Limit, form));
 }

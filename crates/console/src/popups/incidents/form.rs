@@ -1,7 +1,7 @@
 //! An incident opened from the row under the cursor, and a note for one.
 
 use crate::app::{Errand, Feed, Field, Form, Line, Popup, Purpose, Screen, State, Tag, Wrong, completion};
-use crate::model::{Direction, IncidentName, Timestamp};
+use crate::model::{Direction, IncidentName, Timestamp, counted};
 use crate::popups::incidents::state::Deed;
 use crate::screens::grants::state::day;
 use crate::service::command::{NoteIncident, OpenIncident};
@@ -74,7 +74,7 @@ fn form(around: &Around) -> Form {
     ];
     let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
     if left > 0 {
-        notes.push(format!("{left} more topics do not fit here; use `authros incident open`."));
+        notes.push(format!("No room here for {}; use `authros incident open`.", counted(left as u64, "more topic")));
     }
     Form::new("New incident", notes, lines)
 }

@@ -112,7 +112,7 @@ fn closing(state: &State, row: &IncidentView) -> Confirm {
 
 fn removal(row: &IncidentView) -> Confirm {
     let lines = vec![
-        format!("It holds   {} records", row.records),
+        format!("It holds   {}", counted(row.records, "record")),
         "Its notes are deleted, and retention may delete what no other incident holds.".to_owned(),
         "What retention deletes cannot be restored: export it first (e).".to_owned(),
     ];

@@ -1,7 +1,7 @@
 //! The Chain screen.
 
 use crate::app::{Feed, State};
-use crate::model::Address;
+use crate::model::{Address, counted};
 use crate::pipeline::sender::LaneState;
 use crate::service::reply::{AdministrationView, ChainView, GasView};
 use crate::ui::{Canvas, Fact, Rect, Role, below, draw_facts, empty, facts::draw_fact, row, words};
@@ -30,7 +30,7 @@ fn draw_known(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
         ("Address", state.address().map_or_else(|| "no identity yet".to_owned(), |address| address.to_string())),
         ("Balance", ether(&chain.balance)),
         ("Next nonce", chain.nonce.to_string()),
-        ("Pending", format!("{} of your transactions not in a block yet", chain.pending)),
+        ("Pending", format!("{} of your transactions not in a block yet", words::count(chain.pending))),
         ("Gas", gas(&chain.gas)),
         ("Admin", administrator(state, &chain.administration)),
     ];
@@ -80,8 +80,8 @@ fn gas(view: &GasView) -> String {
         return "nothing anchored yet".to_owned();
     }
     let each = view.gas / view.records;
-    let (transactions, records) = (words::count(view.transactions), words::count(view.records));
-    format!("{} per record ({records} records in the last {transactions} transactions)", words::count(each))
+    let (transactions, records) = (counted(view.transactions, "transaction"), counted(view.records, "record"));
+    format!("{} per record ({records} in the last {transactions})", words::count(each))
 }
 
 fn administrator(state: &State, decided: &AdministrationView) -> String {

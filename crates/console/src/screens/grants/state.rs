@@ -1,7 +1,7 @@
 //! Grants given and received.
 
 use crate::app::{matching::narrow, table::Table};
-use crate::model::{Address, Timestamp, clean};
+use crate::model::{Address, Timestamp, clean, counted};
 use crate::service::reply::{Direction, GrantRow, GrantState};
 
 const MOST_GRANTS: usize = 2_000;
@@ -78,7 +78,7 @@ pub fn scope(topics: &[String]) -> String {
     match topics {
         [] => "all topics".to_owned(),
         [one] => clean(one, 60),
-        many => format!("{} topics", many.len()),
+        many => counted(many.len() as u64, "topic"),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The Log screen.
 
 use crate::app::State;
+use crate::model::counted;
 use crate::screens::log::state::{LogLine, Source};
 use crate::service::NoticeLevel;
 use crate::ui::{Canvas, Column, Rect, Role, Sheet, marks::notice_level, table, table::with_local_time};
@@ -19,7 +20,11 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     };
     let from = log.source.map_or_else(|| "all sources".to_owned(), |source| format!("from {}", source.word()));
     let follows = if log.table.is_bound() { "held (home: newest)" } else { "newest first" };
-    let note = format!("{} of {} lines, {least}, {from}, {follows}", lines.len(), log.count());
+    let note = format!(
+        "{} of {}, {least}, {from}, {follows}",
+        words::count(lines.len() as u64),
+        counted(log.count() as u64, "line")
+    );
     let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| log_cells(state, line));
     let (title, empty, columns) = ("Log", "Nothing yet.", &with_local_time(LOG_COLUMNS, state));
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &log.table, empty, old: false };

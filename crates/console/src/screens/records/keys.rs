@@ -1,7 +1,7 @@
 //! Acts on records: provenance, opening, checks, playback.
 
 use crate::app::{Errand, Lookup, Need, Popup, State, Tag, identity_path};
-use crate::model::{Address, Party, TopicName};
+use crate::model::{Address, Party, TopicName, counted};
 use crate::service::{Command, command::Pace, command::PlayWishes, reply::PlayedView};
 
 pub fn details(state: &mut State) {
@@ -56,10 +56,10 @@ fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
 }
 
 pub fn ended(state: &mut State, view: &PlayedView) {
-    let published = view.published;
+    let published = counted(view.published, "message");
     let not = view.refused + view.missing;
-    let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
-    let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
+    let rest = if not > 0 { format!(", {} NOT published", counted(not, "record")) } else { String::new() };
+    let text = |why: &str| format!("playback ended ({why}): {published} published{rest}");
     match view.ended_by.cut_short() {
         Some(why) => state.complain(text(why)),
         None => state.inform(text(view.ended_by.word())),

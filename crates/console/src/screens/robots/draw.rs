@@ -256,7 +256,7 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let waiting = counted(row.waiting, "record");
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
-        |at| format!("{}, {} ago; {waiting} wait here", words::second(at), words::age(at, now)),
+        |at| format!("{}, {} ago; waiting here: {waiting}", words::second(at), words::age(at, now)),
     );
     let (stands, role) = standing(row);
     let policy = match (row.wanted, view.set_at) {

@@ -1,7 +1,7 @@
 //! Which robots are asked for when, and the one under the cursor.
 
 use crate::app::{Feed, Popup, Purpose, Screen, State};
-use crate::model::Timestamp;
+use crate::model::{Timestamp, counted};
 use crate::screens::{robots, robots::state::MOST_NAMES};
 use crate::service::reply::RobotRow;
 
@@ -53,8 +53,8 @@ pub fn drift(state: &State) -> Option<(Timestamp, String)> {
             let names: Vec<String> = several.iter().take(MOST_NAMES).map(|row| row.name.to_string()).collect();
             let more = several.len().saturating_sub(MOST_NAMES);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let robots = several.len();
-            Some((since, format!("{robots} robots do not run their policies: {}{more} (8)", names.join(", "))))
+            let robots = counted(several.len() as u64, "robot");
+            Some((since, format!("{robots} do not run their policies: {}{more} (8)", names.join(", "))))
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Which topics are captured, and why others are not.
 
 use crate::app::State;
+use crate::model::counted;
 use crate::service::reply::{HeldUp, TopicRow};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,13 +47,13 @@ pub fn captured(state: &State) -> Option<String> {
     let first = rows.next()?;
     Some(match rows.count() {
         0 => format!("the capture of {}", first.topic),
-        more => format!("the capture of {} topics", more + 1),
+        more => format!("the capture of {}", counted(more as u64 + 1, "topic")),
     })
 }
 
 /// Watched topics that are not captured, and why.
 pub fn not_captured(state: &State) -> Option<String> {
-    let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
+    let topics = |count: usize| counted(count as u64, "topic");
     match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {
         (0, 0) => None,
         (0, paused) => Some(format!("capture of {} is paused", topics(paused))),

@@ -4,7 +4,7 @@ use crate::app::{
     Confirm, Errand, Field, Form, Line, Lookup, Need, Popup, Purpose, Screen, State, Tag, Typed, Wrong, identity_path,
     verb::watch_errand,
 };
-use crate::model::{TopicName, TopicPattern};
+use crate::model::{TopicName, TopicPattern, counted};
 use crate::screens::pane;
 use crate::service::{Command, command::Held, reply::TopicRow};
 
@@ -105,7 +105,7 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
 
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone().into()), ids: Vec::new() };
-    let held_now = format!("Held   {} messages, and what comes until you confirm", row.quarantined);
+    let held_now = format!("Held   {}, and what comes until you confirm", counted(row.quarantined, "message"));
     let mut lines = vec![format!("Topic  {topic}"), held_now];
     let name = topic.to_string();
     if discard {

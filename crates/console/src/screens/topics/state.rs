@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use crate::app::{history::Sample, history::window, matching::narrow, table::Table};
-use crate::model::{Sampling, Timestamp};
+use crate::model::{Sampling, Timestamp, counted};
 use crate::service::reply::{HeldUp, TopicRow};
 
 const MOST_TOPICS: usize = 5_000;
@@ -347,7 +347,7 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
         ros: rows.iter().map(|row| row.ros).min().unwrap_or(1),
         type_hash: None,
         qos: None,
-        type_name: Some(format!("{} topics", rows.len())),
+        type_name: Some(counted(rows.len() as u64, "topic")),
         publishers,
         unreached: rows.iter().flat_map(|row| row.unreached.clone()).collect(),
         watched: rows.iter().any(|row| row.watched),

@@ -12,7 +12,7 @@ use super::{Agent, AgentRing, AgentWishes};
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
 use crate::crypto::{LONGEST_POLICY, SignedPolicy};
 use crate::model::bytes::hex;
-use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean};
+use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean, counted};
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
 use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
@@ -136,8 +136,9 @@ impl AgentPolicy {
 fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec<String> {
     let own: Vec<&str> = wishes.topics.iter().map(TopicName::as_str).collect();
     let watched = policy.watched.as_ref().filter(|watched| !own.is_empty() && **watched != wishes.topics);
-    let watched =
-        watched.map(|topics| format!("--topic {}, the policy watches {} topics", own.join(" "), topics.len()));
+    let watched = watched.map(|topics| {
+        format!("--topic {}, the policy watches {}", own.join(" "), counted(topics.len() as u64, "topic"))
+    });
     let own = config.topic_rules.0.len();
     let rules = policy.rules.as_ref().filter(|rules| own > 0 && **rules != config.topic_rules);
     let rules = rules.map(|rules| format!("{own} [[topic]] rules, the policy has {}", rules.0.len()));

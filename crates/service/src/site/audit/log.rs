@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{Refusals, doer};
-use crate::model::{ProfileName, Timestamp, clean};
+use crate::model::{ProfileName, Timestamp, clean, counted};
 use crate::pipeline::{Owner, PipelineError};
 use crate::service::command::UploadQuery;
 use crate::service::failure::internal;
@@ -137,7 +137,7 @@ impl Log {
             }
         }
         for ((profile, query), times) in self.counted.repeated(now) {
-            let line = entry(&profile, "list shared", &query, &format!("{times} times again"));
+            let line = entry(&profile, "list shared", &query, &format!("{} again", counted(times, "time")));
             if let Err(failure) = self.append(line).await {
                 self.hub.alarm(&failure.message);
                 return;

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::model::counted;
 use crate::pipeline::Losses;
 use crate::pipeline::disk_ring::SharedRing;
 use crate::pipeline::recorder::CapturedMessage;
@@ -54,8 +55,8 @@ impl SealerThread {
         let text = match self.losses.keep_in(&self.parts.home.waiting(), &self.parts.plant) {
             Ok(0) => return,
             Ok(count) => format!(
-                "{count} messages waited in memory for a full disk when this site last ended; they are lost, and gap \
-                 records report them"
+                "{} waited in memory for a full disk when this site last ended: lost, as gap records report",
+                counted(count, "message")
             ),
             Err(error) => format!("what waits in memory for a full disk will not be counted after a crash: {error}"),
         };

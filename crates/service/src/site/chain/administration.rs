@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::chain::Call;
 use crate::crypto::EoaSecret;
-use crate::model::{Address, Party, Timestamp};
+use crate::model::{Address, Party, Timestamp, counted};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
 use crate::service::event::Part;
@@ -50,9 +50,9 @@ impl Administering {
             ));
         }
         let call = Call::NameRecovery { recovery };
-        let days = network.directory.administration().delay / 86_400;
+        let days = counted(network.directory.administration().delay / 86_400, "day");
         let who = recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
-        let text = format!("{who} may stop a succession of {} proposed {days} days from now or later", owner.address);
+        let text = format!("{who} may stop a succession of {} proposed {days} from now or later", owner.address);
         self.send_act(owner, &network, call, text).await
     }
 
@@ -147,8 +147,8 @@ impl Administering {
             Some(recovery) => (delay / 86_400, format!("{recovery} can stop it until then")),
             None => (2 * delay / 86_400, "there is no recovery account that could stop it".to_owned()),
         };
-        let text =
-            format!("{successor} can continue for {lost} in {days} days, with `chain succession complete`; {stops}");
+        let days = counted(days, "day");
+        let text = format!("{successor} can continue for {lost} in {days}, with `chain succession complete`; {stops}");
         Ok((Call::ProposeSuccession { lost, successor }, text))
     }
 

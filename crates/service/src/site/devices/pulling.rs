@@ -79,7 +79,7 @@ pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern
         )));
     }
     if topics.len() > TopicPatterns::MOST {
-        return Err(input(format!("request at most {} topics per call", TopicPatterns::MOST)));
+        return Err(input(format!("request at most {most} topics per call", most = TopicPatterns::MOST)));
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }

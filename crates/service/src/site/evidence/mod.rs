@@ -23,7 +23,7 @@ use crate::command::{EvidenceWishes, UploadQuery};
 use crate::crypto::private_file;
 use crate::event::NoticeLevel;
 use crate::failure::input;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean, counted};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
 use crate::pipeline::reader::Reader;
@@ -104,7 +104,8 @@ impl Evidence {
         let times = || rows.iter().map(|row| row.captured_at);
         let (first, last) = (times().min().unwrap_or_default(), times().max().unwrap_or_default());
         let list = Digest(self.parts.plant.provider.sm3(&listed));
-        format!("{}: {} records from {first} to {last}, SM3 of their digests {list}", clean(topic, 200), rows.len())
+        let records = counted(rows.len() as u64, "record");
+        format!("{}: {records} from {first} to {last}, SM3 of their digests {list}", clean(topic, 200))
     }
 
     fn chosen(&self, owner: &Owner, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>> {
@@ -230,13 +231,13 @@ fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) 
         let before = rows.len();
         rows.retain(|row| !is_out(row) || named.contains(&row.id));
         let out = before - rows.len();
-        notes.extend((out > 0).then(|| format!("{out} records of the incident {why}")));
+        notes.extend((out > 0).then(|| format!("{} of the incident left out: {why}", counted(out as u64, "record"))));
     };
-    take_out(|row| row.deleted_at.is_some(), "are not in the bundle: retention had already deleted their bytes");
-    take_out(is_early, "are not stored yet and are left out: export it again later");
+    take_out(|row| row.deleted_at.is_some(), "retention had already deleted the bytes");
+    take_out(is_early, "not stored yet; export it again later");
     if about.open {
         let is_unanchored = |row: &RecordRow| row.block.is_none() && row.state.is_before_block();
-        take_out(is_unanchored, "are not anchored yet and are left out: it is still open, export it again later");
+        take_out(is_unanchored, "not anchored yet; it is still open, export it again later");
     }
     notes
 }
@@ -274,7 +275,7 @@ impl ChainProofs {
         };
         let problem = problem.map(|why| clean(&why, 200));
         if let (1.., Some(why)) = (missed, &problem) {
-            let text = format!("the chain's proofs of {missed} batches could not be kept: {why}");
+            let text = format!("the chain's proofs of {} could not be kept: {why}", counted(missed, "batch"));
             self.parts.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
         let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
@@ -295,8 +296,7 @@ impl ChainProofs {
             counts.newest.map_or_else(|| "no proofs kept yet".to_owned(), |block| format!("kept up to block {block}"));
         let missed = match counts.missed {
             0 => String::new(),
-            1 => "; 1 batch has none, a bundle of it asks the node".to_owned(),
-            missed => format!("; {missed} batches have none, bundles of them ask the node"),
+            missed => format!("; without one, so that bundles ask the node: {}", counted(missed, "batch")),
         };
         Ok(Some(waiting_part("proofs", &format!("{kept}{missed}"), trouble)))
     }

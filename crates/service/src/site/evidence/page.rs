@@ -10,7 +10,7 @@ use std::sync::Arc;
 use authros_evidence::{Bundle, RecordReport, Report, Standing};
 
 use self::figures::{data_uri, plot, series, timeline};
-use crate::model::{Digest, Head, SignerId, Timestamp, TopicId, clean, grouped};
+use crate::model::{Digest, Head, SignerId, Timestamp, TopicId, clean, counted, grouped};
 use crate::pipeline::importer;
 use crate::reply::IncidentView;
 use crate::ros::message::{Folders, type_hash};
@@ -166,7 +166,10 @@ fn disclosed(out: &mut String, bundle: &Bundle, report: &Report, notes: &[Timest
     timeline(out, &times.collect::<Vec<_>>(), notes);
     for (place, (topic, records)) in topics.iter().enumerate() {
         if place == MOST_TOPICS || out.len() > LONGEST {
-            put(out, format_args!("<p>and {} more topics, which are not shown here</p>\n", topics.len() - place));
+            put(
+                out,
+                format_args!("<p>and {}, not shown here</p>\n", counted((topics.len() - place) as u64, "more topic")),
+            );
             return;
         }
         one_topic(out, (bundle, report), topic, records);

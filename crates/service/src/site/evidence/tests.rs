@@ -69,9 +69,9 @@ fn an_open_incident_leaves_out_what_is_not_anchored_and_says_how_much() {
     let (kept, notes) = left(true, &[]);
     assert_eq!(kept, [1, 6]);
     let [deleted, early, unanchored] = notes.as_slice() else { panic!("three notes: {notes:?}") };
-    assert!(deleted.starts_with("1 records") && deleted.contains("retention"), "{deleted}");
-    assert!(early.starts_with("1 records") && early.contains("not stored yet"), "{early}");
-    assert!(unanchored.starts_with("3 records") && unanchored.contains("not anchored yet and are left out"));
+    assert!(deleted.starts_with("1 record of") && deleted.contains("retention"), "{deleted}");
+    assert!(early.starts_with("1 record of") && early.contains("not stored yet"), "{early}");
+    assert!(unanchored.starts_with("3 records") && unanchored.contains("left out: not anchored yet"));
     // A closed one is exported as it is; and what is named is wanted in any case.
     assert_eq!(left(false, &[]).0, [1, 2, 3, 6, 7]);
     assert_eq!(left(true, &["record3"]).0, [1, 3, 6]);

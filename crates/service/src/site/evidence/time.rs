@@ -16,7 +16,7 @@ use tokio::task::block_in_place;
 
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
-use crate::model::{ErrorKind, Hash, Timestamp, clean};
+use crate::model::{ErrorKind, Hash, Timestamp, clean, counted, grouped};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{Failure, PartHealth, Result, StampView, StampedView};
@@ -186,10 +186,10 @@ impl TimeStamps {
         let counts = self.parts.plant.ledger.proofs.stamp_counts()?;
         let newest =
             counts.before.map_or_else(|| "no stamps yet".to_owned(), |before| format!("newest before {before}"));
-        let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
-        let failures = self.failures.load(Ordering::Acquire);
+        let told = format!("{}, {newest}; waiting: {}", counted(counts.stamped, "stamp"), grouped(counts.waiting));
+        let failures = counted(self.failures.load(Ordering::Acquire), "request");
         let trouble = self.with(|last| last.trouble.clone());
-        let trouble = trouble.map(|(since, why)| (since, format!("{failures} requests failed: {why}")));
+        let trouble = trouble.map(|(since, why)| (since, format!("{failures} failed: {why}")));
         Ok(Some(waiting_part("time", &told, trouble)))
     }
 

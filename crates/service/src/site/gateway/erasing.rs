@@ -8,7 +8,7 @@ use super::GatewayDesk;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
 use crate::event::Part;
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
-use crate::model::{Digest, Header};
+use crate::model::{Digest, Header, counted};
 use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
 use crate::pipeline::intake::{Accepted, Intake, Reason, taken_erased};
@@ -57,7 +57,7 @@ impl GatewayDesk {
             outcomes.push(outcome);
         }
         if count > 0 {
-            let subject = format!("{count} records of {}", caller.account);
+            let subject = format!("{} of {}", counted(count, "record"), caller.account);
             let (log, profile) = (&self.gateway.parts.log, &self.place.keeper.profile);
             if let Err(failure) = log.write(profile, "gateway erase", &subject, "as their owner requested").await {
                 self.gateway.parts.hub.warn(&failure.message);

@@ -15,7 +15,7 @@ use crate::crypto::{
 use crate::event::Part;
 use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
-use crate::model::{RecordState, SignerId};
+use crate::model::{RecordState, SignerId, counted};
 use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView, Result};
 use crate::site::blocking;
@@ -393,7 +393,8 @@ impl Profiles {
             }
             if tokio::time::Instant::now() > deadline {
                 return Err(refused(format!(
-                    "{pending} records signed with the registered key are not verified yet; try again when they are"
+                    "signed with the registered key and not verified yet: {}; try again later",
+                    counted(pending as u64, "record")
                 )));
             }
             tokio::time::sleep(LOOK).await;

@@ -5,7 +5,9 @@ mod tests;
 
 use tokio::task::block_in_place;
 
-use crate::model::{Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines};
+use crate::model::{
+    Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines, counted,
+};
 use crate::service::command::{self as ask, Ask, IncidentCommand};
 use crate::service::event::Part;
 use crate::service::failure::input;
@@ -112,7 +114,7 @@ impl Incidents {
     }
 
     async fn remove(&self, profile: &ProfileName, owner: Address, name: &IncidentName) -> Result<Vec<IncidentView>> {
-        let told = format!("{name}: {} records were held", self.show(owner, name)?.records);
+        let told = format!("{name}: held {}", counted(self.show(owner, name)?.records, "record"));
         let removed = async { found(name, block_in_place(|| self.kept().remove(owner, name))?) };
         self.parts.log.deed(profile, "remove incident", &told, removed).await?;
         self.parts.hub.changed(Part::Uploads);

@@ -10,7 +10,7 @@ use super::{Broken, Joined};
 use crate::gateway::command::MOST_ERASURES;
 use crate::gateway::{Client, Code, ErasureNotice, ErasureOutcome, GatewayError};
 use crate::model::bytes::hex;
-use crate::model::{Address, Digest, PublicKey, clean};
+use crate::model::{Address, Digest, PublicKey, clean, counted};
 use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::reply::{ErasureView, Result};
@@ -192,16 +192,16 @@ impl Joined {
         let address = remote.address();
         let Told { taken, left, refused } = outcome;
         if *taken > 0 {
-            let (subject, heard) = (format!("{taken} records"), format!("the gateway {address} erases its copies"));
+            let (subject, heard) = (counted(*taken, "record"), format!("the gateway {address} erases its copies"));
             if let Err(failure) = self.parts.log.write(&owner.profile, "erase elsewhere", &subject, &heard).await {
                 self.parts.hub.warn(&failure.message);
             }
         }
         if left + refused > 0 {
             self.parts.hub.warn(&format!(
-                "the gateway {address} keeps its copies of {} records that '{}' had erased: it may erase {left} later \
+                "the gateway {address} keeps its copies of {} that '{}' had erased: it may erase {left} later \
                  and is asked again, and refuses to erase {refused}",
-                left + refused,
+                counted(left + refused, "record"),
                 owner.profile
             ));
         }

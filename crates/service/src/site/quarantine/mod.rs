@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::reading::view::record_view;
-use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicPattern, clean};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicPattern, clean, counted};
 use crate::pipeline::columns::Shown;
 use crate::pipeline::{Author, Owner, quarantine};
 use crate::service::command::Held;
@@ -129,7 +129,7 @@ impl Quarantine {
         self.audited(owner, "release quarantined", &rows, released).await?;
         self.parts.hub.stored.notify_waiters();
         let messages = messages(&rows);
-        let text = format!("{messages} messages released; they are anchored like others and keep their tag");
+        let text = format!("{} released: anchored like others, with the tag kept", counted(messages, "message"));
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
@@ -164,10 +164,10 @@ impl Quarantine {
         let discarded = self.discard_rows(owner, &held, &rows_now);
         self.audited(owner, "discard quarantined", &rows_now, discarded).await?;
         let messages = messages(&rows_now);
-        let counted = reports.len();
         let text = format!(
-            "{messages} messages discarded; their digests remain, and {counted} quarantine records on the chain count \
-             them"
+            "{} discarded; digests remain, counted on the chain in {}",
+            counted(messages, "message"),
+            counted(reports.len() as u64, "quarantine record")
         );
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
@@ -216,7 +216,7 @@ impl Quarantine {
         for topic in topics {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
-            let subject = format!("{topic}: {count} messages starting with {first}");
+            let subject = format!("{topic}: {} starting with {first}", counted(count as u64, "message"));
             self.parts.log.begin(owner, action, &subject).await?;
             subjects.push(subject);
         }

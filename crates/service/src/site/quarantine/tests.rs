@@ -84,7 +84,7 @@ async fn a_release_is_written_down_first_and_touches_nobody_elses_messages() {
     let state = |digest| ground.parts.plant.ledger.records.find(digest).expect("readable").expect("there").state;
     assert_eq!((state(own), state(other)), (RecordState::Stored, RecordState::Quarantined));
     let written = ground.audited("release quarantined");
-    assert!(written.iter().all(|(subject, _)| subject.starts_with("/odom: 1 messages")), "{written:?}");
+    assert!(written.iter().all(|(subject, _)| subject.starts_with("/odom: 1 message ")), "{written:?}");
     assert_eq!(written.iter().map(|(_, outcome)| outcome.as_str()).collect::<Vec<_>>(), ["begun", "done"]);
 }
 

@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 use super::Reading;
 use crate::command::UploadQuery;
 use crate::failure::input;
-use crate::model::{Address, ProfileName, SignerId, Timestamp, TopicName, TopicPattern, clean};
+use crate::model::{Address, ProfileName, SignerId, Timestamp, TopicName, TopicPattern, clean, counted};
 use crate::reply::{CoverageView, Result};
 use crate::site::devices::enrolled;
 use crate::store::notes::Enrolled;
@@ -42,8 +42,8 @@ impl Reading {
         if names.len().saturating_mul(parts) > MOST_IN_ALL {
             let most = MOST_IN_ALL / names.len().max(1);
             return Err(input(format!(
-                "{} topics match, too many for {parts} parts each; use --parts {most} or a narrower pattern",
-                names.len()
+                "{} matched, too many for --parts {parts}; use --parts {most} or a narrower pattern",
+                counted(names.len() as u64, "topic")
             )));
         }
         let enrolled = block_in_place(|| enrolled::of_account(&self.parts.plant.ledger.notes, owner))?;

@@ -19,6 +19,7 @@ use crate::command::UploadQuery;
 use crate::failure::input;
 use crate::model::{
     Address, Digest, ErrorKind, GapReport, RecordKind, RetentionReport, SignerId, TopicPattern, TopicPatterns, clean,
+    counted,
 };
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, network_pin};
@@ -157,7 +158,7 @@ pub(in crate::site) fn view(kind: RecordKind, type_name: &str, body: &[u8]) -> O
                 "topic": clean(&report.topic, WIDEST), "rule": clean(&report.rule, WIDEST), "records": report.count,
                 "bytes": report.bytes, "first_seq": report.first_seq, "last_seq": report.last_seq,
                 "rolling": report.rolling,
-                "text": format!("the ciphertext of {} records was deleted", report.count),
+                "text": format!("the ciphertext of {} was deleted", counted(report.count, "record")),
             })
         }),
         RecordKind::Attachment => beside(type_name, body),

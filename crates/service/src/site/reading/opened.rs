@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 
 use super::view::{reason_of, record_view};
 use crate::crypto::OpenedRecord;
-use crate::model::{ErrorKind, RecordKind, RecordState, clean};
+use crate::model::{ErrorKind, RecordKind, RecordState, clean, counted};
 use crate::pipeline::columns::{Compared, Shown};
 use crate::pipeline::reader::{Opening, Reader};
 use crate::pipeline::{Owner, importer};
@@ -103,7 +103,7 @@ impl Reading {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.parts.plant, network: &network, reader: owner };
-        let subject = format!("{} and up to {records} records before it", row.id);
+        let subject = format!("{} and what came before it, up to {}", row.id, counted(records as u64, "record"));
         self.parts.log.deed(&owner.profile, "decrypt", &subject, self.path_of(&reader, row, records)).await
     }
 
@@ -125,7 +125,8 @@ impl Reading {
         }
         places.reverse();
         let topic = clean(&row.topic, 255);
-        let plot = readable::track(&format!("Path: last {} records", places.len()), &places, Some(here));
+        let plot =
+            readable::track(&format!("Path: last {}", counted(places.len() as u64, "record")), &places, Some(here));
         Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
     }
 

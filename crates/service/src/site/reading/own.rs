@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 use super::view::{record_page, record_view};
 use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
+use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean, counted};
 use crate::pipeline::columns::{self, Caveat, Keys, Refusal, ShownState};
 use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::retention::is_stated;
@@ -247,8 +247,8 @@ fn anchor_steps(placed: PlacedRecord, head: u64, wanted: u64) -> Vec<(String, St
     if let Some(place) = &place {
         let inclusion = &place.inclusion;
         steps.push(step("batch", format!("root {}, closed {}", inclusion.root, place.closed_at.in_milliseconds())));
-        let (index, count, hashes) = (inclusion.index + 1, inclusion.count, inclusion.path.len());
-        let hashes = if hashes == 1 { "1 hash".to_owned() } else { format!("{hashes} hashes") };
+        let (index, count, hashes) =
+            (inclusion.index + 1, inclusion.count, counted(inclusion.path.len() as u64, "hash"));
         steps.push(step("proof", format!("leaf {index} of {count}, {hashes} to the root")));
         steps.extend(place.account.map(|account| step("anchored by", account.to_string())));
     }

@@ -10,7 +10,7 @@ use super::claims::{Claim, Holder};
 use super::standings::{Parts, SealedBefore};
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Digest, ErrorKind, RecordKind, TopicPattern, clean};
+use crate::model::{Digest, ErrorKind, RecordKind, TopicPattern, clean, counted, grouped};
 use crate::pipeline::importer::{Importer, fault, kind_of};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::recorded_names::RecordedNames;
@@ -130,7 +130,11 @@ impl Recordings {
             blocking(self, note).await?;
         }
         let ImportView { file, imported, already, .. } = &view;
-        self.parts.hub.inform(&format!("{file}: {imported} messages imported, {already} already there"));
+        self.parts.hub.inform(&format!(
+            "{file}: {} imported, {} already there",
+            counted(*imported, "message"),
+            grouped(*already)
+        ));
         Ok(view)
     }
 

@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use super::Sharing;
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys, signer_id, wrap};
-use crate::model::{GrantTerms, ProfileName, Scope, Token};
+use crate::model::{GrantTerms, ProfileName, Scope, Token, counted};
 use crate::pipeline::directory::{Granted, kept};
 use crate::pipeline::epoch::EpochKeys;
 use crate::pipeline::{Network, Owner, PipelineError, authority, recovery};
@@ -277,11 +277,12 @@ impl Sharing {
         let lacking = block_in_place(|| recovery::lacking(&self.parts.plant, network, owner))?;
         if !lacking.is_empty() {
             let still = block_in_place(|| recovery::recover_epochs(&self.parts.plant, network, owner, &lacking))?;
-            let fetched = lacking.len() - still.len();
+            let fetched = (lacking.len() - still.len()) as u64;
             if fetched > 0 {
                 let profile = &owner.profile;
                 self.parts.hub.inform(&format!(
-                    "the chain returned the keys of {fetched} epochs that the keyring of '{profile}' lacked"
+                    "the chain returned the keys of {} that the keyring of '{profile}' lacked",
+                    counted(fetched, "epoch")
                 ));
             }
         }

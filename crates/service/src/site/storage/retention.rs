@@ -84,8 +84,9 @@ impl Storage {
         let held = self.parts.plant.ledger.erasures.held_although_erased()?;
         if self.seen.1.swap(held, Ordering::AcqRel) < held {
             let text = format!(
-                "{held} records that their owner erased elsewhere stay here because an incident holds them; `authros \
-                 incident remove NAME --yes` releases them"
+                "erased elsewhere by the owner, but held here by an incident: {}; `authros incident remove NAME --yes` releases \
+                 what it holds",
+                counted(held, "record")
             );
             self.parts.hub.warn(&text);
         }
@@ -109,10 +110,13 @@ impl Storage {
 
     async fn tell(&self, owner: &Owner, round: &Round) -> Result<()> {
         for (topic, count) in &round.named {
-            self.parts.log.write(&owner.profile, "retention", &format!("{topic}: {count} records"), "named").await?;
+            self.parts
+                .log
+                .write(&owner.profile, "retention", &format!("{topic}: {}", counted(*count, "record")), "named")
+                .await?;
         }
         if round.deleted > 0 {
-            self.parts.log.write(&owner.profile, "retention", &format!("{} records", round.deleted), "deleted").await?;
+            self.parts.log.write(&owner.profile, "retention", &counted(round.deleted, "record"), "deleted").await?;
         }
         Ok(())
     }

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
 use super::{Play, RIGHTS, granted_to};
-use crate::model::{Address, TopicId};
+use crate::model::{Address, TopicId, counted};
 use crate::service::reply::PlayEnd;
 use crate::store::RecordRow;
 
@@ -128,8 +128,8 @@ impl Play<'_> {
     }
 
     fn tell(&self, why: &str) {
-        let (target, count) = (self.target.name(), self.tally.published);
-        self.bridge.parts.hub.warn(&format!("playback into {target} ended: {why}; {count} messages were published"));
+        let (target, count) = (self.target.name(), counted(self.tally.published, "message"));
+        self.bridge.parts.hub.warn(&format!("playback into {target} ended: {why}; published: {count}"));
     }
 }
 

@@ -189,7 +189,7 @@ async fn each_hours_roots_are_stamped_once_and_a_busy_authority_is_asked_later_a
         assert_eq!(authority.asked(), asked, "after {seconds} s");
         let (stamped, waiting, level, text) = told(&ground, &stamps);
         assert_eq!((stamped, waiting, level), (0, 1, HealthLevel::Waiting), "{text}");
-        assert!(text.contains(&format!("{asked} requests failed")) && text.contains("answered 503"), "{text}");
+        assert!(text.contains(&counted(asked, "request")) && text.contains("answered 503"), "{text}");
     }
     authority.becomes(Mood::Well);
     let second = close(&ground, 2);
@@ -238,7 +238,7 @@ async fn an_authority_that_is_not_reached_is_counted_and_asked_again() {
         stamps.look(time.at(seconds)).await;
         let (stamped, waiting, level, text) = told(&ground, &stamps);
         assert_eq!((stamped, waiting, level), (0, 1, HealthLevel::Waiting), "{text}");
-        assert!(text.contains(&format!("{failed} requests failed")) && text.contains("cannot be reached"), "{text}");
+        assert!(text.contains(&counted(failed, "request")) && text.contains("cannot be reached"), "{text}");
     }
     assert_eq!(authority.asked(), 0);
 }
@@ -260,5 +260,5 @@ async fn nothing_waits_for_an_authority_that_says_nothing() {
     look.await.expect("ends");
     let (stamped, waiting, level, text) = told(&ground, &stamps);
     assert_eq!((stamped, waiting, level), (0, 1, HealthLevel::Waiting), "{text}");
-    assert!(text.contains("1 requests failed"), "{text}");
+    assert!(text.contains("1 request failed"), "{text}");
 }

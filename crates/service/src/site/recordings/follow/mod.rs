@@ -22,7 +22,7 @@ use self::proof::{Due, Proven};
 use self::tape::{Round, Tape};
 use super::import::MOST_TAGS;
 use super::{Recordings, Run};
-use crate::model::{Address, clean};
+use crate::model::{Address, clean, counted};
 use crate::pipeline::importer::Importer;
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner};
@@ -138,7 +138,7 @@ impl Recordings {
         gone: oneshot::Receiver<()>,
     ) -> Result<FollowView> {
         if wishes.tags.len() > MOST_TAGS - 1 {
-            return Err(input(format!("what is followed can have at most {} tags", MOST_TAGS - 1)));
+            return Err(input(format!("what is followed can have at most {most} tags", most = MOST_TAGS - 1)));
         }
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
@@ -372,7 +372,7 @@ fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<P
                     FollowedFile { is_closed: false, .. } => {
                         "nothing writes to it any more, and it was not closed".into()
                     }
-                    _ => format!("has ended, {} messages sealed", file.sealed + file.already),
+                    _ => format!("has ended, {} sealed", counted(file.sealed + file.already, "message")),
                 };
                 follower.tell(level, &format!("{}: {how}", file.file));
                 let place = Some(tape.place.clone()).filter(|place| place.standing != FileStanding::Open);

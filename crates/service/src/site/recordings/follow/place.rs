@@ -12,7 +12,7 @@ use authros_evidence::recorded::RecordedChunk;
 
 use crate::crypto::Sm3Hasher;
 use crate::crypto::sm3::sm3;
-use crate::model::{Address, Digest, clean};
+use crate::model::{Address, Digest, clean, counted};
 use crate::ros::mcap::MAGIC;
 use crate::service::failure::internal;
 use crate::service::reply::Result;
@@ -26,10 +26,10 @@ const LEAD: usize = 1024;
 const MOST_AGAIN: u32 = 64;
 
 pub(super) fn changed(place: &FilePlace, name: &str) -> String {
-    let (name, messages) = (clean(name, 80), place.stored.saturating_sub(1));
+    let (name, messages) = (clean(name, 80), counted(place.stored.saturating_sub(1), "message"));
     let when = place.ended_at.map(|time| format!(" at {time}")).unwrap_or_default();
     format!(
-        "it has changed since it was sealed{when}: {messages} messages are sealed, and {name}.authros proves the file \
+        "it has changed since it was sealed{when}: what is sealed is {messages}, and {name}.authros proves the file \
              as it was then. If it should not have changed, restore that version from a copy; to seal it as it is now, \
              move {name}.authros away and follow the folder again"
     )
