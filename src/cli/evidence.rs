@@ -451,7 +451,15 @@ impl Recording {
         };
         let standing = if compared.is_whole { Standing::Proven } else { Standing::Refused };
         let differing = compared.differing.into_iter().take(MOST_NAMED).collect();
-        Self { standing, record: Some(record), name: Some(name), bytes: compared.length, chunks, differing, text }
+        Self {
+            standing,
+            record: Some(record),
+            name: Some(name),
+            bytes: compared.length,
+            chunks: compared.chunks,
+            differing,
+            text,
+        }
     }
 }
 

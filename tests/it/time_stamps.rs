@@ -158,7 +158,10 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     let case = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     let export = |name: &str| authros.json(&["evidence", "export", &case(name), "--topic", "/robot1/odom"]);
     let without = export("without.authros");
-    assert!(list(&without, "notes").iter().any(|note| note.to_string().contains("no time stamp yet")), "{without}");
+    assert!(
+        list(&without, "notes").iter().any(|note| note.to_string().contains("without a time stamp yet")),
+        "{without}"
+    );
 
     becomes(Mood::Well);
     let view = authros.json(&["evidence", "timestamp"]);

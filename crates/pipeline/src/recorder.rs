@@ -421,7 +421,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (true, format!("{caller_id} sends {found} on {topic}, not {wanted}: not captured"))
         }
         CaptureNotice::LostInTransport { topic, caller_id, count, .. } => {
-            let messages = counted(count, "message");
+            let messages = counted(*count, "message");
             (true, format!("{messages} of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
         CaptureNotice::ReadingBroken { reason } => (
@@ -430,7 +430,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
         ),
         CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
             let text = "vanished while ROS 2 was not read: the end is unknown; missing at least";
-            (true, format!("{caller_id} on {topic} {text} {}", counted(at_least, "message")))
+            (true, format!("{caller_id} on {topic} {text} {}", counted(*at_least, "message")))
         }
         CaptureNotice::Refused { topic, publisher, reason } => {
             (true, format!("{publisher} on {topic} was refused: {reason}"))

@@ -4,7 +4,7 @@ use crate::app::State;
 use crate::model::counted;
 use crate::screens::log::state::{LogLine, Source};
 use crate::service::NoticeLevel;
-use crate::ui::{Canvas, Column, Rect, Role, Sheet, marks::notice_level, table, table::with_local_time};
+use crate::ui::{Canvas, Column, Rect, Role, Sheet, marks::notice_level, table, table::with_local_time, words};
 
 const LOG_COLUMNS: &[Column] =
     &[Column::text("UTC", 8), Column::text("Level", 7), Column::text("From", 11), Column::wide("What")];
