@@ -3,12 +3,16 @@
 
 use super::*;
 use support::postgres::{PASSWORD, Postgres};
-use support::{clock, skipped};
+use support::{Outcome, clock, skipped};
 
 const INPUT: i32 = 3;
 const UNREACHABLE: i32 = 4;
 
-/// Nothing of the password, wherever it is looked.
+/// What a program said, with no password in it; what it was told has one.
+fn said(outcome: &Outcome) -> String {
+    without_password(&[&*outcome.stdout, &outcome.stderr].concat()).to_owned()
+}
+
 fn without_password(said: &str) -> &str {
     assert!(!said.contains(PASSWORD), "the password is shown: {said}");
     said
@@ -25,7 +29,7 @@ fn store_health(keeper: &Authros) -> (String, String) {
 /// What `doctor` says of one thing, with its advice.
 fn examined(keeper: &Authros, name: &str) -> Vec<(String, String)> {
     let outcome = keeper.with(&["--json"]).run(&["doctor"]);
-    without_password(&outcome.to_string());
+    said(&outcome);
     let checks = support::list(&outcome.document(), "checks").into_iter().filter(|check| check["name"] == name);
     checks.map(|check| (text(&check, "status"), format!("{}; {}", check["detail"], check["advice"]))).collect()
 }
@@ -64,9 +68,9 @@ fn what_a_robot_brings_to_a_gateway_on_postgresql_its_owner_and_a_reader_have() 
     assert_eq!((&audit["ok"], count(&audit, "missing")), (&Value::Bool(true), 0), "{audit}");
     leaves_to_other_homes(&gateway);
     says_what_an_acknowledgement_is_worth(&server, &keeper);
-    without_password(&keeper.run(&["config", "show"]).expect_code(0).to_string());
+    said(&keeper.run(&["config", "show"]).expect_code(0));
     let ended = gateway.site.take().expect("running").stop("TERM", 20).expect_code(0);
-    without_password(&ended.to_string());
+    said(&ended);
 }
 
 /// Each act is refused with its reason, not with a fault of the store.
