@@ -162,7 +162,8 @@ async fn take_the_robots_only_copy() {
     let (captured, kept) = (count(&last, "captured"), store.usage().expect("reads").entries);
     let told =
         format!("{captured} records captured, {} said to be verified, {kept} kept by the robot", last["verified"]);
-    let doubted = outcome.stderr.lines().find(|line| line.contains("its proofs do not show them")).map(str::to_owned);
+    let doubted =
+        outcome.stderr.lines().find(|line| line.contains("its proofs show in no anchored batch")).map(str::to_owned);
     let outcome = match doubted {
         _ if kept < captured => Outcome::Succeeded(told),
         Some(words) => Outcome::Refused(format!("{told}; {words}")),

@@ -332,7 +332,7 @@ mod tests {
         for (given, words) in [
             (of(GenesisKind::Clique, &[]), "--signer"),
             (of(GenesisKind::Qbft, &[1, 1]), "twice"),
-            (of(GenesisKind::Qbft, &(1..=33).collect::<Vec<u8>>()), "limit of 32"),
+            (of(GenesisKind::Qbft, &(1..=33).collect::<Vec<u8>>()), "at most 32"),
             (of(GenesisKind::Ethash, &[1]), "no signers"),
             (Genesis { period: Some(1), ..of(GenesisKind::Ethash, &[]) }, "no period"),
             (Genesis { period: Some(0), ..of(GenesisKind::Clique, &[1]) }, "period"),

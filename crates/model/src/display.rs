@@ -87,9 +87,9 @@ pub fn grouped(number: u64) -> String {
     text
 }
 
-/// `1 record`, `8,505 records`, `2 batches`.
+/// `1 record`, `8,505 records`, `2 batches`, `2 epochs`.
 pub fn counted(count: u64, one: &str) -> String {
-    let ending = if one.ends_with('s') || one.ends_with("sh") || one.ends_with("ch") { "es" } else { "s" };
+    let ending = if one.ends_with('s') || one.ends_with("sh") || one.ends_with("tch") { "es" } else { "s" };
     format!("{} {one}{}", grouped(count), if count == 1 { "" } else { ending })
 }
 
@@ -156,6 +156,7 @@ mod tests {
         assert_eq!([0, 1, 8_505].map(|count| counted(count, "record")), ["0 records", "1 record", "8,505 records"]);
         assert_eq!(["batch", "hash", "loss"].map(|one| counted(1, one)), ["1 batch", "1 hash", "1 loss"]);
         assert_eq!(["batch", "hash", "loss"].map(|one| counted(2, one)), ["2 batches", "2 hashes", "2 losses"]);
+        assert_eq!(counted(2, "new epoch"), "2 new epochs");
     }
 
     #[test]

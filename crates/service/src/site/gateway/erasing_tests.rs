@@ -318,7 +318,7 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
     for _ in 0..60 {
         tokio::time::sleep(Duration::from_millis(50)).await;
         let told = std::iter::from_fn(|| events.try_recv().ok());
-        notices += told.filter(|event| format!("{event:?}").contains("an incident holds them")).count();
+        notices += told.filter(|event| format!("{event:?}").contains("held here by an incident")).count();
     }
     assert_eq!((notices, ground.bytes(&copy)), (1, Some(copy.blob.clone())), "told once");
     ledger.incidents.remove(ground.alice.address, &name).expect("removed");
