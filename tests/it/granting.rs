@@ -177,7 +177,7 @@ impl Away {
     /// In reach again until `hears` is true; then it ends, once everything it sealed is proven. Returns the gateway.
     fn comes_back(self, hears: impl Fn() -> bool) -> Running {
         self.line.mend();
-        wait_until(300, "it hears of the new key", || hears().then_some(()));
+        wait_until(300, "it has the new key", || hears().then_some(()));
         self.agent.stop("TERM", 60).expect_code(0);
         let agent = self.home.authros().with(&["--json", "--robots", "1"]);
         let rest = agent.spawn(&["robot", "run", &self.enrolment, "--count", "1"]).wait(180).expect_code(0);

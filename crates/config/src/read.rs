@@ -7,7 +7,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use crate::model::{ByteSize, ErrorKind, TopicRules, address_without_secrets, clean, time_span, without_secrets};
-use crate::{DEFINITIONS, Definition, rules};
+use crate::{DATABASES, DEFINITIONS, Definition, rules};
 use serde::Serialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -121,9 +121,7 @@ pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigEr
     // What was meant as a server's URL may be all path, which may be a key.
     let shown: fn(&str) -> String = match name {
         // Words of another form may hold a password anywhere.
-        "store.url" if !value.starts_with("postgres://") && !value.starts_with("postgresql://") => {
-            |_: &str| "…".to_owned()
-        }
+        "store.url" if !DATABASES.iter().any(|prefix| value.starts_with(prefix)) => |_: &str| "…".to_owned(),
         "chain.url" | "alerts.webhook" => address_without_secrets,
         _ => without_secrets,
     };

@@ -169,6 +169,11 @@ impl Timestamp {
         format!("{}.{:03}Z", second.trim_end_matches('Z'), self.0 / 1_000_000 % 1_000)
     }
 
+    /// `2026-11-27 18:00:00 UTC`, for sentences.
+    pub fn in_utc(self) -> String {
+        Self::from_seconds(self.seconds()).to_string().replace('T', " ").replace('Z', " UTC")
+    }
+
     /// `HH:MM:SS`, UTC, for narrow columns.
     pub fn clock(self) -> String {
         let day = self.seconds() % 86_400;

@@ -72,11 +72,14 @@ mod tests {
         assert!(is_plain(Completed::Record, "00ff") && is_plain(Completed::Profile, "default"));
     }
 
+    fn is_plain_to_shells(character: char) -> bool {
+        character.is_ascii_alphanumeric() || "/_.-".contains(character)
+    }
+
     #[test]
     fn a_word_consists_of_characters_without_a_meaning_to_any_shell() {
-        let harmless = |character: char| character.is_ascii_alphanumeric() || "/_.-".contains(character);
         let characters = (0_u8..=127).map(char::from).chain("\u{a0}\u{202e}\u{200b}\u{ff0f}ä".chars());
-        for character in characters.filter(|character| !harmless(*character)) {
+        for character in characters.filter(|character| !is_plain_to_shells(*character)) {
             for word in
                 [format!("/a{character}b"), format!("/{character}"), format!("a{character}"), character.to_string()]
             {
@@ -87,8 +90,7 @@ mod tests {
 
     /// One word, which every shell takes as it is.
     fn is_harmless(word: &str) -> bool {
-        let plain = |character: char| character.is_ascii_alphanumeric() || "/_.-".contains(character);
-        !word.is_empty() && !word.starts_with('-') && word.chars().all(plain)
+        !word.is_empty() && !word.starts_with('-') && word.chars().all(is_plain_to_shells)
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -152,6 +152,12 @@ impl Sheet {
         self.add(name, CheckStatus::Fail, detail, advice);
     }
 
+    /// `otherwise` where the text itself does not say what to do.
+    fn fail_in_words(&mut self, name: &str, text: &str, otherwise: &str) {
+        let (detail, advice) = advised(text).unwrap_or((text, otherwise));
+        self.fail(name, detail, advice);
+    }
+
     /// The first failure, or the first finding and `well`.
     fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
         let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
@@ -203,9 +209,7 @@ async fn look(home: &Home, config: &Config, pinned: PinResult, sheet: &mut Sheet
     match Chain::connect(options).await {
         Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
         Err(error) => {
-            let text = error.to_string();
-            let (text, advice) = advised(&text).unwrap_or((text.as_str(), usual_advice("chain")));
-            sheet.fail("chain", text, advice);
+            sheet.fail_in_words("chain", &error.to_string(), usual_advice("chain"));
         }
     }
 }
@@ -393,6 +397,8 @@ fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
     }
 }
 
+const OTHER_DATABASE: &str = "correct store.url";
+
 /// A gateway's database, looked at without a change; returned if it has the store's tables.
 fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Option<Glance> {
     if url.contains('@')
@@ -403,16 +409,14 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
     let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref()) {
         Ok(found) => found,
         Err(error) => {
-            let text = error.to_string();
-            let (text, advice) = advised(&text).unwrap_or((text.as_str(), "correct store.url"));
-            sheet.fail("store", text, advice);
+            sheet.fail_in_words("store", &error.to_string(), OTHER_DATABASE);
             return None;
         }
     };
     let (level, text) = worth(&durability);
-    match advised(&text).filter(|_| level == HealthLevel::Failed) {
-        Some((text, advice)) => sheet.fail("store", text, advice),
-        None => sheet.ok("store", &text),
+    match level {
+        HealthLevel::Failed => sheet.fail_in_words("store", &text, OTHER_DATABASE),
+        HealthLevel::Ok | HealthLevel::Absent | HealthLevel::Waiting => sheet.ok("store", &text),
     }
     let Some(glance) = glance else {
         sheet.ok("notes", "the database is empty; `authros gateway serve` makes its tables");
@@ -421,8 +425,7 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
     notes(glance.check_notes(), sheet);
     let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
     if let Some(text) = other_gateway(&known, glance.path(), home) {
-        let (text, advice) = advised(&text).unwrap_or((text.as_str(), "correct store.url"));
-        sheet.fail("database", text, advice);
+        sheet.fail_in_words("database", &text, OTHER_DATABASE);
     }
     Some(glance)
 }

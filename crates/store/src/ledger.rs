@@ -60,7 +60,10 @@ use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
 use crate::sql::postgres::Server;
 use crate::sql::{self, Connection, Params, Row};
 
-const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
+const SCHEMA: Schema = Schema {
+    application: 0x4155_4c31,
+    text: concat!(include_str!("ledger/schema.sql"), include_str!("ledger/indexes.sql")),
+};
 
 macro_rules! stores {
     ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {

@@ -94,13 +94,9 @@ fn date(time: Timestamp) -> String {
     Timestamp::from_seconds(time.seconds()).to_string().chars().take(10).collect()
 }
 
-fn moment(time: Timestamp) -> String {
-    format!("{} {} UTC", date(time), time.clock())
-}
-
 pub(super) fn span(first: Timestamp, last: Timestamp) -> String {
     if first.seconds() == last.seconds() {
-        return moment(first);
+        return first.in_utc();
     }
     let day = if date(first) == date(last) { String::new() } else { format!("{} ", date(last)) };
     format!("{} {} to {day}{} UTC", date(first), first.clock(), last.clock())
@@ -291,7 +287,7 @@ fn stamped(wording: &Wording, report: &Report) -> Vec<Fields> {
     let name = |record: &RecordReport| Some(clean(record.authority.as_ref()?, wording.longest));
     let keyed = report.records.iter().filter_map(|record| Some((name(record)?, record)));
     let item = |(authority, group): (String, Group)| {
-        let time = Fact::Text(moment(group.stamped));
+        let time = Fact::Text(group.stamped.in_utc());
         Fields::from([("authority", Fact::Text(authority)), ("time", time), ("count", Fact::Number(group.count))])
     };
     groups(keyed).into_iter().map(item).collect()
@@ -305,7 +301,7 @@ fn anchored(report: &Report) -> Vec<Fields> {
         Some(Fields::from([
             ("proven", flag(standing == Standing::Proven)),
             ("self_sealed", flag(standing == Standing::OwnChain)),
-            ("time", Fact::Text(moment(*latest))),
+            ("time", Fact::Text(latest.in_utc())),
             ("count", count(times.len())),
         ]))
     };

@@ -104,12 +104,6 @@ impl GrantForesight {
     }
 }
 
-/// `2026-11-27 18:00:00 UTC`.
-pub fn utc(moment: Timestamp) -> String {
-    let text = moment.to_string();
-    format!("{} UTC", text.get(..19).unwrap_or(&text).replace('T', " "))
-}
-
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpochView {
     pub epoch: u64,
@@ -310,16 +304,16 @@ mod tests {
     #[test]
     fn what_a_grant_opens_and_costs_in_words() {
         let since = Some(Timestamp::from_seconds(1_700_000_000));
-        let opens = |records, since| Opens { records, since, of_robots: false }.words(utc);
+        let opens = |records, since| Opens { records, since, of_robots: false }.words(Timestamp::in_utc);
         assert_eq!(opens(8_505, since), "since 2023-11-14 22:13:20 UTC, 8,505 records");
         assert_eq!(opens(1, since), "since 2023-11-14 22:13:20 UTC, 1 record");
         assert_eq!(opens(1_234_567, since), "since 2023-11-14 22:13:20 UTC, 1,234,567 records");
         assert_eq!(opens(0, None), "no record yet");
-        let arrived = Opens { records: 2, since, of_robots: true }.words(utc);
+        let arrived = Opens { records: 2, since, of_robots: true }.words(Timestamp::in_utc);
         assert_eq!(arrived, "since 2023-11-14 22:13:20 UTC, 2 records, as far as they have arrived here");
         let now =
             GrantForesight { epoch: 2, epochs: 1, nothing_older: true, transactions: 2, ..GrantForesight::default() };
-        assert_eq!(now.moment(utc), "from now on, nothing older");
+        assert_eq!(now.moment(Timestamp::in_utc), "from now on, nothing older");
         assert_eq!(now.cost(), "a new epoch: 0 other readers get the key, no robot is told; 2 transactions");
         let robots = ["scout-1", "scout-2"].map(|name| name.parse().expect("a name")).to_vec();
         let more = GrantForesight { epochs: 2, readers: 1, robots, transactions: 5, ..now };
@@ -331,7 +325,7 @@ mod tests {
             ..GrantForesight::default()
         };
         assert_eq!(
-            (past.moment(utc).as_str(), past.cost().as_str()),
+            (past.moment(Timestamp::in_utc).as_str(), past.cost().as_str()),
             ("since 2023-11-14 22:13:20 UTC, 2 records", "1 transaction")
         );
     }

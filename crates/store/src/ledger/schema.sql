@@ -20,7 +20,6 @@ CREATE TABLE topics (
     key INTEGER PRIMARY KEY, owner BLOB NOT NULL, recorder INTEGER NOT NULL, topic_id BLOB NOT NULL,
     name TEXT NOT NULL, keeper BLOB, UNIQUE (owner, topic_id, recorder)
 );
-CREATE INDEX topics_by_keeper ON topics (keeper) WHERE keeper IS NOT NULL;
 CREATE TABLE streams (
     key INTEGER PRIMARY KEY, topic INTEGER NOT NULL, kind INTEGER NOT NULL, type_name TEXT NOT NULL,
     UNIQUE (topic, kind, type_name)
@@ -34,7 +33,6 @@ CREATE TABLE records (
     captured_at INTEGER NOT NULL, acknowledged_at INTEGER NOT NULL, simulated INTEGER NOT NULL,
     state INTEGER NOT NULL, tx BLOB, block INTEGER, block_hash BLOB, deleted_at INTEGER, UNIQUE (topic, seq)
 );
-CREATE INDEX records_by_state ON records (state, stream, captured_at);
 CREATE INDEX records_by_time ON records (captured_at);
 
 -- What readers may be given, in the order in which it came to be so. A row comes with the commit that verifies a record, and
@@ -129,9 +127,6 @@ CREATE TABLE transactions (
     state INTEGER NOT NULL, block INTEGER, block_hash BLOB, gas_used INTEGER, reason TEXT, replaced_by BLOB,
     batch BLOB
 );
-CREATE INDEX transactions_open ON transactions (account, nonce) WHERE state = 0;
-CREATE INDEX transactions_mined ON transactions (block) WHERE state = 1;
-CREATE INDEX transactions_by_nonce ON transactions (account, nonce);
 
 -- A closed batch; `account`, `tx` and `block` as the chain has them, or as the sender last tried. `proof`: NULL = not
 -- fetched yet, 1 = kept, 2 = could not be had. `closed_here`: 1 where this ledger closed it, so that all of its records
@@ -141,10 +136,6 @@ CREATE TABLE batches (
     closed_at INTEGER NOT NULL, account BLOB, tx BLOB, block INTEGER, block_hash BLOB,
     proof INTEGER, closed_here INTEGER NOT NULL
 );
-CREATE INDEX batches_waiting ON batches (owner, key) WHERE tx IS NULL;
-CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
-CREATE INDEX batches_unproven ON batches (block) WHERE block IS NOT NULL AND proof IS NULL;
-CREATE INDEX batches_without_proof ON batches (block) WHERE proof = 2;
 
 -- A record's place in its batch, and what leads from there to the root: sixteen leaves beside each other are a branch, whose
 -- `path` has those nodes of its lowest four levels that do not follow from others, and the steps above them (branches.rs).
@@ -190,11 +181,6 @@ CREATE TABLE rights (
     block INTEGER NOT NULL, place INTEGER NOT NULL, kind INTEGER NOT NULL, owner BLOB, grantee BLOB, epoch INTEGER,
     token BLOB, event TEXT NOT NULL, replaced INTEGER, revoked INTEGER, revoked_at INTEGER, PRIMARY KEY (block, place)
 ) WITHOUT ROWID;
-CREATE INDEX rights_standing ON rights (owner, kind, grantee) WHERE replaced IS NULL AND revoked IS NULL;
-CREATE INDEX rights_given ON rights (owner, grantee) WHERE revoked IS NOT NULL;
-CREATE INDEX rights_received ON rights (grantee) WHERE revoked IS NOT NULL;
-CREATE INDEX rights_tokens ON rights (owner, epoch) WHERE token IS NOT NULL;
-CREATE INDEX rights_own ON rights (owner, epoch) WHERE kind = 6;
 
 -- The envelopes of grants and later events; read only by those who open them.
 CREATE TABLE envelopes (
@@ -283,7 +269,6 @@ CREATE INDEX gaps_by_report ON gaps (report) WHERE report IS NOT NULL;
 CREATE TABLE retained (
     record INTEGER PRIMARY KEY, report BLOB NOT NULL, header BLOB NOT NULL, deleted_at INTEGER
 );
-CREATE INDEX retained_due ON retained (record) WHERE deleted_at IS NULL;
 CREATE TABLE retained_topics (topic INTEGER PRIMARY KEY, records INTEGER NOT NULL, bytes INTEGER NOT NULL);
 
 -- What owners state of erased records. `account` is the signature of the owner's account, without which nobody erases

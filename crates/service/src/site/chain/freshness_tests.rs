@@ -75,7 +75,7 @@ fn a_node_that_answers_and_is_cut_off_is_refused_until_blocks_come_as_they_are_s
     assert_eq!(seen.judge(107.2), Ok(20), "block 21 is due at 105, and two seconds are its own");
     seen.read(20, 108.0);
     assert_eq!(seen.judge(108.0), Err(NotFresh::Late { block: 20, age: 7, due: 5 }));
-    // After a minute it hears of the others again: first of some blocks, then of the rest, and then it is in time.
+    // After a minute the others' blocks come again: first some, then the rest, and then it is in time.
     seen.read(26, 165.0);
     assert_eq!(seen.judge(165.1), Err(NotFresh::Behind { block: 26 }), "33 is sealed by now");
     seen.read(30, 166.0);

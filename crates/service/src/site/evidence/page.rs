@@ -84,11 +84,6 @@ fn count(number: usize) -> String {
     grouped(number as u64)
 }
 
-/// `2026-11-22 03:43:21 UTC`, as the verdict writes times.
-fn second(at: Timestamp) -> String {
-    Timestamp::from_seconds(at.seconds()).to_string().replace('T', " ").replace('Z', " UTC")
-}
-
 /// `2026-11-22 03:43:21.549`, for columns.
 fn moment(at: Timestamp) -> String {
     at.in_milliseconds().replace('T', " ").replace('Z', "")
@@ -135,9 +130,9 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
 
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
-    let until = about.until.map_or_else(|| "still open".to_owned(), second);
-    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", second(about.since)), fact("To", until)];
-    rows.extend(about.notes.iter().map(|note| fact(format!("Note, {}", second(note.at)), &*note.text)));
+    let until = about.until.map_or_else(|| "still open".to_owned(), Timestamp::in_utc);
+    let mut rows = vec![fact("Name", about.name.to_string()), fact("From", about.since.in_utc()), fact("To", until)];
+    rows.extend(about.notes.iter().map(|note| fact(format!("Note, {}", note.at.in_utc()), &*note.text)));
     facts(out, &rows);
 }
 

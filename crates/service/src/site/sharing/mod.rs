@@ -31,7 +31,7 @@ use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::GrantFrom;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
-use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, Result, TransactionView, utc};
+use crate::service::reply::{Direction, Failure, GrantRow, NOTHING_OLDER, Result, TransactionView};
 use crate::store::RecordRow;
 
 pub(in crate::site) struct Sharing {
@@ -107,7 +107,8 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
-        let moment = if begun || from == GrantFrom::Now { NOTHING_OLDER.to_owned() } else { opens.words(utc) };
+        let moment =
+            if begun || from == GrantFrom::Now { NOTHING_OLDER.to_owned() } else { opens.words(Timestamp::in_utc) };
         let begun = if begun { format!("; epoch {epoch} has begun for it") } else { String::new() };
         let text = format!("{grantee} can read {what}, {moment}{begun}");
         Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })

@@ -300,7 +300,7 @@ async fn a_grant_from_a_moment_opens_whole_epochs_and_says_what_they_hold() {
 
     let odom: [TopicName; 1] = ["/odom".parse().expect("a topic")];
     let given = sharing.grant(&alice, &to_bob, &odom, GrantFrom::Time(at(35)), None).await.expect("given");
-    assert!(given.text.contains(&format!("since {}, 3 records", utc(first))), "{}", given.text);
+    assert!(given.text.contains(&format!("since {}, 3 records", first.in_utc())), "{}", given.text);
     assert_eq!(opened(sharing, &network, &alice, &bob), [2, 3]);
     let rows = sharing.rows(&bob).await.expect("rows");
     let told: Vec<_> = rows.iter().map(|row| (row.from, row.opens)).collect();

@@ -30,6 +30,11 @@ fn own(name: &str) -> Option<(Cluster, Ledger)> {
     }
 }
 
+/// The server of all tests, if there is one.
+fn common(name: &str) -> Option<&'static Cluster> {
+    shared().map_err(|reason| skip(name, reason)).ok()
+}
+
 fn set(cluster: &Cluster, setting: &str) {
     let admin = cluster.admin().expect("connects");
     admin.script(setting).expect("set");
@@ -40,10 +45,7 @@ fn set(cluster: &Cluster, setting: &str) {
 
 #[test]
 fn a_store_is_the_same_for_each_process_that_opens_it() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::a_store_is_the_same", reason),
-    };
+    let Some(cluster) = common("engines::a_store_is_the_same") else { return };
     let url = cluster.schema();
     let first = Ledger::on_server(&url, None).expect("made");
     append(&first, 1, 1).expect("acknowledged");
@@ -67,10 +69,7 @@ fn a_store_is_the_same_for_each_process_that_opens_it() {
 /// Each locks what the other changes next.
 #[test]
 fn processes_in_each_others_way_both_get_through() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::processes_in_each_others_way", reason),
-    };
+    let Some(cluster) = common("engines::processes_in_each_others_way") else { return };
     let url = cluster.schema();
     let ledgers = [0, 1].map(|_| Ledger::on_server(&url, None).expect("opened"));
     let all: Vec<NewRecord> = (1..=40).map(|seq| record(1, 1, seq)).collect();
@@ -179,10 +178,7 @@ fn what_no_standby_has_is_not_acknowledged() {
 
 #[test]
 fn a_text_that_the_server_cannot_store_is_refused_alone() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::a_text_that_the_server_cannot_store", reason),
-    };
+    let Some(cluster) = common("engines::a_text_that_the_server_cannot_store") else { return };
     let ledger = Ledger::on_server(&cluster.schema(), None).expect("opened");
     let bad = NewRecord { type_name: "a\0b".to_owned(), ..record(1, 1, 2) };
     let refused = ledger.records.append(vec![record(1, 1, 1), bad]).expect_err("refused");
@@ -195,10 +191,7 @@ fn a_text_that_the_server_cannot_store_is_refused_alone() {
 
 #[test]
 fn counts_are_folded_and_stay_the_same() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::counts_are_folded", reason),
-    };
+    let Some(cluster) = common("engines::counts_are_folded") else { return };
     let ledger = Ledger::on_server(&cluster.schema(), None).expect("opened");
     for seq in 1..=30 {
         append(&ledger, 1, seq).expect("acknowledged");
@@ -216,10 +209,7 @@ fn counts_are_folded_and_stay_the_same() {
 
 #[test]
 fn a_later_schema_and_an_absent_server_are_refused_in_words() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::a_later_schema", reason),
-    };
+    let Some(cluster) = common("engines::a_later_schema") else { return };
     let url = cluster.schema();
     let ledger = Ledger::on_server(&url, None).expect("made");
     ledger.database.write(|session| session.connection.run("UPDATE about SET version = 2", [])).expect("a later one's");
@@ -232,10 +222,7 @@ fn a_later_schema_and_an_absent_server_are_refused_in_words() {
 
 #[test]
 fn tables_that_disagree_are_told_of_a_server_too() {
-    let cluster = match shared() {
-        Ok(cluster) => cluster,
-        Err(reason) => return skip("engines::tables_that_disagree", reason),
-    };
+    let Some(cluster) = common("engines::tables_that_disagree") else { return };
     let ledger = Ledger::on_server(&cluster.schema(), None).expect("opened");
     append(&ledger, 1, 1).expect("acknowledged");
     assert_eq!(ledger.inspection.contradictions(), Ok(Vec::new()));

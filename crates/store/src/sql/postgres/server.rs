@@ -41,7 +41,7 @@ const PENDING: &str = "CREATE TEMPORARY TABLE pending_counters (
     )";
 /// Until the transaction's end.
 const ALONE: &str = "SELECT pg_advisory_xact_lock(1096109105)";
-const SCHEMA: &str = include_str!("../../ledger/postgres.sql");
+const SCHEMA: &str = concat!(include_str!("../../ledger/postgres.sql"), include_str!("../../ledger/indexes.sql"));
 const VERSION: i64 = 1;
 const IS_MADE: &str = "SELECT 1 WHERE to_regclass('about') IS NOT NULL";
 const VERSION_OF: &str = "SELECT version FROM about";

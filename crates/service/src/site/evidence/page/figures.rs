@@ -5,7 +5,7 @@ use std::time::Duration;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::{escape, put, second};
+use super::{escape, put};
 use crate::model::Timestamp;
 use crate::ros::readable::Plot;
 
@@ -172,7 +172,7 @@ pub(super) fn timeline(out: &mut String, topics: &[(String, Vec<Timestamp>)], no
         put(out, format_args!("<line class=\"note\" x1=\"{x}\" x2=\"{x}\" y1=\"0\" y2=\"{}\"/>\n", height - ROW));
     }
     let (base, end) = (height - 7, width - SIDE);
-    put(out, format_args!("<text x=\"{LABEL}\" y=\"{base}\">{}</text>\n", second(first)));
+    put(out, format_args!("<text x=\"{LABEL}\" y=\"{base}\">{}</text>\n", first.in_utc()));
     put(out, format_args!("<text x=\"{end}\" y=\"{base}\" text-anchor=\"end\">{}</text>\n</svg>\n", last.clock()));
 }
 
