@@ -77,15 +77,17 @@ pub fn tell_skipped(place: &str, reason: &str) {
     drop(std::io::stderr().write_all(line.as_bytes()));
 }
 
-/// Held by tests that have many processes, so that they do not exceed each other's time limits: two at a time, because each
-/// waits more than half of its time. Files, because tests are processes of their own (tests/in_turn.py, which looks for this
+/// Held by tests that have many processes, so that they do not exceed each other's time limits: three at a time, because
+/// each waits for more than two thirds of its time. Files, because tests are processes of their own (tests/in_turn.py, which looks for this
 /// call in a test's own body).
 pub fn heavy() -> File {
     let place = |name| File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)).expect("a file to lock");
-    let (first, second) = (place("heavy.lock"), place("heavy.second.lock"));
-    if second.try_lock().is_ok() {
-        return second;
+    for other in ["heavy.second.lock", "heavy.third.lock"].map(place) {
+        if other.try_lock().is_ok() {
+            return other;
+        }
     }
+    let first = place("heavy.lock");
     first.lock().expect("locked");
     first
 }

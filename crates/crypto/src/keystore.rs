@@ -258,7 +258,7 @@ pub(super) struct FileKey {
 
 impl FileKey {
     pub fn new(passphrase: &Passphrase) -> Result<Self> {
-        Self::with(passphrase, Work::WRITTEN, random_bytes()?)
+        Self::with(passphrase, Work::of(passphrase), random_bytes()?)
     }
 
     pub fn with(passphrase: &Passphrase, work: Work, salt: [u8; 32]) -> Result<Self> {

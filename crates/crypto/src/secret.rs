@@ -340,6 +340,9 @@ impl fmt::Display for Fingerprint {
 /// The fewest characters of a passphrase.
 pub const SHORTEST_PASSPHRASE: usize = 8;
 
+/// Begins each passphrase that the program makes itself; 32 hex digits follow.
+const RANDOM_PASSPHRASE: &str = "random-";
+
 /// A passphrase of at least [`SHORTEST_PASSPHRASE`] characters, wiped when dropped.
 #[derive(Clone)]
 pub struct Passphrase(Zeroizing<String>);
@@ -357,10 +360,16 @@ impl Passphrase {
         Ok(Self(Zeroizing::new(line.to_owned())))
     }
 
-    /// A random one of 128 bits, in hex.
+    /// A random one: `random-` and 128 bits in hex.
     pub fn random() -> Result<Self> {
-        let bytes = Zeroizing::new(random_bytes::<16>()?);
-        Ok(Self(Zeroizing::new(hex(&*bytes))))
+        let digits = Zeroizing::new(hex(&*Zeroizing::new(random_bytes::<16>()?)));
+        Ok(Self(Zeroizing::new([RANDOM_PASSPHRASE, &digits].concat())))
+    }
+
+    /// Whether [`Passphrase::random`] made it.
+    fn is_random(&self) -> bool {
+        let digits = self.0.strip_prefix(RANDOM_PASSPHRASE);
+        digits.is_some_and(|digits| digits.len() == 32 && digits.bytes().all(|digit| digit.is_ascii_hexdigit()))
     }
 
     /// The text; do not copy it anywhere that outlives its use.
@@ -395,8 +404,16 @@ impl Wire for Work {
 }
 
 impl Work {
-    /// The parameters this program writes: 128 MiB, about 0.3 s.
+    /// For a passphrase that a person chose: 128 MiB, about 0.3 s.
     pub const WRITTEN: Self = Self { log_n: 17, r: 8, p: 1 };
+
+    /// Nobody guesses 128 random bits, so a robot's start need not take 128 MiB to make that slow: 1 MiB.
+    pub const RANDOM: Self = Self { log_n: 10, r: 8, p: 1 };
+
+    /// What a new file under this passphrase is written with.
+    pub fn of(passphrase: &Passphrase) -> Self {
+        if passphrase.is_random() { Self::RANDOM } else { Self::WRITTEN }
+    }
 
     /// Whether a foreign file may ask for these parameters: at most 512 MiB and 16 times the usual time.
     pub fn is_bearable(self) -> bool {
@@ -504,7 +521,7 @@ mod passphrase_tests {
         assert!(matches!(Passphrase::new("1234567\n".into()), Err(CryptoError::ShortPassphrase(7))));
         assert_eq!(Passphrase::new("12345678\r\n".into()).expect("long enough").expose(), "12345678");
         assert_eq!(Passphrase::new("密码密码密码密码".into()).expect("eight characters").expose().len(), 24);
-        assert_eq!(Passphrase::random().expect("random").expose().len(), 32);
+        assert_eq!(Passphrase::random().expect("random").expose().len(), 39);
         assert_eq!(format!("{:?}", Passphrase::random()), "Ok(Passphrase(secret))");
     }
 
@@ -512,7 +529,14 @@ mod passphrase_tests {
     fn scrypt_follows_rfc_7914_and_unbearable_work_is_refused() {
         let key = stretch::<64>("password", b"NaCl", Work { log_n: 10, r: 8, p: 16 }).expect("derives");
         assert_eq!(hex(&key[..8]), "fdbabe1c9d347200");
-        assert!(Work::WRITTEN.is_bearable());
+        assert!(Work::WRITTEN.is_bearable() && Work::RANDOM.is_bearable());
+        assert_eq!(Work::of(&Passphrase::random().expect("random")), Work::RANDOM);
+        let digits = "0123456789abcdef0123456789abcdef";
+        for chosen in
+            [digits, "random-0123456789abcdef", &format!("random-{}", &digits[..31]), &format!("random-{digits}0")]
+        {
+            assert_eq!(Work::of(&Passphrase::new(chosen.to_owned()).expect("long enough")), Work::WRITTEN, "{chosen}");
+        }
         assert!(Work { log_n: 18, r: 8, p: 1 }.is_bearable());
         for (log_n, r, p) in
             [(63, 8, 1), (20, 8, 1), (17, 8, 17), (17, u32::MAX, 1), (40, 1 << 25, 1), (17, 0, 1), (10, 8, 0)]
