@@ -403,7 +403,7 @@ def changed(case, mutation):
     """Whether a mutation found something of its kind; what an earlier one broke may have nothing left to read."""
     try:
         return mutation(case) is not False
-    except (ValueError, LookupError, TypeError, AttributeError, struct.error, zlib.error):
+    except (ValueError, LookupError, TypeError, AttributeError, struct.error, zlib.error, state.NotShown, state.Broken):
         if len(case.done) > 1:
             return False
         raise
