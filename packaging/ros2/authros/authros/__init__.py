@@ -1,1 +1,1 @@
-"""Starts `authros bag follow`; the work is done by the program authros, which is installed on its own."""
+"""Starts the program authros, which is installed by its own package."""

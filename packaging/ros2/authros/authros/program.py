@@ -1,9 +1,12 @@
-"""Finds the program authros and becomes `authros bag follow`.
+"""Finds the program authros and becomes one of its commands.
 
-    ros2 run authros_follow follow DIR [--until-closed] [--attach] [--tag KEY=VALUE] [--topic PATTERN]
+    ros2 run authros authros COMMAND ...     any command; without one, the console
+    ros2 run authros follow DIR ...          authros bag follow: seals what is recorded into DIR
+    ros2 run authros agent ENROLMENT ...     authros robot run: captures for the robot's gateway
+    ros2 run authros serve ...               authros serve: a site without a console
 
-The program is taken from AUTHROS_PROGRAM, else from PATH, else from where packages and cargo put it. Everything that ROS adds
-behind --ros-args is left out.
+AUTHROS_PROGRAM names the program, else PATH is searched, then the places of packages and cargo. What ROS adds from --ros-args on
+is left out.
 """
 
 import os
@@ -12,12 +15,12 @@ import sys
 
 PLACES = ("/usr/bin/authros", "/usr/local/bin/authros", os.path.expanduser("~/.cargo/bin/authros"))
 NOT_FOUND = (
-    "authros_follow: the program authros was not found. Install its package, or name it in AUTHROS_PROGRAM; "
-    "docs/gateway.md of AuthROS has the ways."
+    "install the package authros, or name the program in AUTHROS_PROGRAM: it was not found in PATH, /usr/bin, /usr/local/bin or "
+    "~/.cargo/bin"
 )
 
 
-def program(environment):
+def found(environment):
     """The path of authros; None if it is nowhere."""
     named = environment.get("AUTHROS_PROGRAM")
     if named:
@@ -25,22 +28,29 @@ def program(environment):
     return shutil.which("authros") or next((place for place in PLACES if os.access(place, os.X_OK)), None)
 
 
-def command(path, arguments):
-    """The command line: the options of every command, such as --home, come first."""
+def become(*command):
+    path = found(os.environ)
+    if path is None:
+        print(f"authros: {NOT_FOUND}", file=sys.stderr)
+        return 3
+    arguments = sys.argv[1:]
     if "--ros-args" in arguments:
         arguments = arguments[:arguments.index("--ros-args")]
-    return [path, "bag", "follow", *arguments]
-
-
-def main(arguments=None):
-    path = program(os.environ)
-    if path is None:
-        print(NOT_FOUND, file=sys.stderr)
-        return 3
-    line = command(path, sys.argv[1:] if arguments is None else arguments)
     # Its signals and its exit code are those of the program.
-    os.execv(path, line)
+    os.execv(path, [path, *command, *arguments])
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def any_command():
+    return become()
+
+
+def follow():
+    return become("bag", "follow")
+
+
+def agent():
+    return become("robot", "run")
+
+
+def serve():
+    return become("serve")
