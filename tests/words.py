@@ -35,7 +35,7 @@ UNCOUNTED = re.compile(
 ONLY_SQL = re.compile(r"(?-i:\b(SELECT|REPLACE INTO|INSERT|UPDATE|DELETE FROM|IS NOT NULL|PRAGMA|JOIN)\b)")
 PAGES = [
     "*.md", "docs/*.md", "docs/decisions/*.md", "docs/monitoring/*", "crates/*/README.md", "packaging/*.1", "packaging/debian/*",
-    "packaging/ros2/authros_follow/*.xml", "systemd/*",
+    "packaging/ros2/authros/*.xml", "systemd/*",
 ]
 
 

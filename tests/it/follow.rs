@@ -532,15 +532,24 @@ fn a_full_disk_of_the_home_is_waited_for_and_nothing_is_lost() {
 #[test]
 fn the_package_of_ros_2_starts_the_program_without_what_ros_adds() {
     let Some(python) = support::system_program("python3") else { skipped!("no python3") };
-    let package = concat!(env!("CARGO_MANIFEST_DIR"), "/packaging/ros2/authros_follow");
-    let started = |program: &str| {
+    let package = concat!(env!("CARGO_MANIFEST_DIR"), "/packaging/ros2/authros");
+    let started = |program: &str, entry: &str| {
         let mut command = Command::new(&python);
-        command.args(["-B", "-m", "authros_follow.follow", "--help", "--ros-args", "-r", "__node:=follow"]);
+        let code = format!("import sys; from authros.program import {entry}; sys.exit({entry}())");
+        command.args(["-B", "-c", &code, "--help", "--ros-args", "-r", "__node:=follow"]);
         command.env_clear().env("PYTHONPATH", package).env("AUTHROS_PROGRAM", program);
         Running::start(command).wait(60)
     };
-    let told = started(env!("CARGO_BIN_EXE_authros")).expect_code(0);
-    assert!(told.stdout.contains("--until-closed"), "{told}");
-    let told = started("/nowhere/authros").expect_code(3);
+    let commands = [
+        ("follow", "--until-closed"),
+        ("agent", "<ENROLMENT>"),
+        ("serve", "--detach"),
+        ("any_command", "The operator console"),
+    ];
+    for (entry, said) in commands {
+        let told = started(env!("CARGO_BIN_EXE_authros"), entry).expect_code(0);
+        assert!(told.stdout.contains(said), "{entry}: {told}");
+    }
+    let told = started("/nowhere/authros", "follow").expect_code(3);
     assert!(told.stderr.contains("AUTHROS_PROGRAM"), "{told}");
 }

@@ -2,17 +2,23 @@
 //! own bytes are not checked here: `packaging/build` makes them, and takes minutes.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
+use std::collections::BTreeSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use serde_json::Value;
+
 use crate::support::{Home, Running, list, skipped, system_program, text};
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Packs three small programs, with the pages of the real one.
 fn packed(folder: &Path) -> PathBuf {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/assemble");
-    let mut command = Command::new(script);
+    let mut command = script("assemble");
     command.args(["/bin/true", "/bin/echo", "/bin/cat", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
-    command.env("SOURCE_DATE_EPOCH", "1700000000");
     Running::start(command).wait(120).expect_code(0);
     folder.to_owned()
 }
@@ -31,9 +37,9 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
     let home = Home::new();
     let first = packed(&home.root().join("first"));
     let second = packed(&home.root().join("second"));
-    let sums = |folder: &Path| std::fs::read_to_string(folder.join("SHA256SUMS-x86_64")).expect("checksums");
+    let sums = |folder: &Path| fs::read_to_string(folder.join("SHA256SUMS-x86_64")).expect("checksums");
     assert_eq!(sums(&first), sums(&second));
-    assert_eq!(sums(&first).lines().count(), 9);
+    assert_eq!(sums(&first).lines().count(), 12);
 
     let version = env!("CARGO_PKG_VERSION");
     let deb = first.join(format!("authros_{version}-1_amd64.deb"));
@@ -55,6 +61,7 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
         "./usr/share/fish/vendor_completions.d/authros.fish",
         "./usr/share/man/man1/authros.1.gz",
         "./usr/share/doc/authros/THIRD-PARTY.txt.gz",
+        "./usr/share/authros/ros2/authros/package.xml",
         "./etc/authros/serve.env",
         "./etc/authros/gateway.env",
     ] {
@@ -63,9 +70,15 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
         assert!(line.contains("root/root"), "{line}");
     }
     let archive = said("tar", &["-tzf"], &first.join(format!("authros-{version}-x86_64-linux.tar.gz")));
-    for file in
-        ["authros", "README.md", "LICENSE", "THIRD-PARTY.txt", "pages/authros.1", "systemd/authros-serve.service"]
-    {
+    for file in [
+        "authros",
+        "README.md",
+        "LICENSE",
+        "THIRD-PARTY.txt",
+        "pages/authros.1",
+        "ros2/authros/setup.py",
+        "systemd/authros-serve.service",
+    ] {
         assert!(archive.contains(&format!("authros-{version}-x86_64-linux/{file}\n")), "no {file} in {archive}");
     }
 }
@@ -87,7 +100,7 @@ fn programs_without_keys_come_by_themselves_and_only_with_their_own_version_of_t
         let archive = folder.join(format!("{name}-{version}-x86_64-linux.tar.gz"));
         command.arg("-xzf").arg(&archive).arg("-C").arg(home.root()).arg(&program);
         Running::start(command).wait(60).expect_code(0);
-        let bytes = |path: &Path| std::fs::read(path).expect("a program");
+        let bytes = |path: &Path| fs::read(path).expect("a program");
         assert_eq!(bytes(&home.root().join(program)), bytes(Path::new(original)));
         assert!(!first.contains(&format!("usr/bin/{name}")), "{first}");
     }
@@ -120,13 +133,23 @@ fn expect_beside(folder: &Path, name: &str) {
     }
 }
 
-/// The libraries in the list that came with `program`.
-fn components(folder: &Path, program: &str) -> Vec<serde_json::Value> {
-    let name = format!("{program}-{}-x86_64-linux.cdx.json", env!("CARGO_PKG_VERSION"));
-    let bytes = std::fs::read(folder.join(name)).expect("the list");
-    let bill: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
+/// The libraries in a list of what `program` holds. Each reference is of something listed, and nothing is listed in vain.
+fn components(file: &Path, program: &str) -> Vec<Value> {
+    let bytes = fs::read(file).expect("the list");
+    let bill: Value = serde_json::from_slice(&bytes).expect("JSON");
     assert_eq!(bill["metadata"]["component"]["name"], program);
-    list(&bill, "components")
+    assert_eq!(bill["metadata"]["timestamp"], "2023-11-14T22:13:20Z");
+    let components = list(&bill, "components");
+    let listed: BTreeSet<String> = components.iter().map(|one| text(one, "bom-ref")).collect();
+    assert_eq!(listed.len(), components.len(), "{program}: something is listed twice");
+    let mut used = BTreeSet::new();
+    for one in list(&bill, "dependencies") {
+        let owner = text(&one, "ref");
+        assert!(owner == program || listed.contains(&owner), "{program}: {owner} is not listed");
+        used.extend(list(&one, "dependsOn").iter().map(|other| other.as_str().expect("a reference").to_owned()));
+    }
+    assert_eq!(used, listed, "{program}");
+    components
 }
 
 #[test]
@@ -136,8 +159,7 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
     }
     let home = Home::new();
     let folder = packed(&home.root().join("packages"));
-    let lock =
-        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
+    let lock = source("Cargo.lock");
     let site = ["revm", "ethers-core", "rusqlite", "ratatui", "libsm"];
     // Neither test-only dependencies nor our own crates, nor those of the other program.
     let held: [(&str, &[&str], &[&str]); 3] = [
@@ -150,7 +172,8 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
         ("authros-ros2", &["rustdds", "mio", "serde_json"], &["revm", "ratatui", "libsm", "authros-pipe", "proptest"]),
     ];
     for (program, expected, foreign) in held {
-        let components = components(&folder, program);
+        let file = format!("{program}-{}-x86_64-linux.cdx.json", env!("CARGO_PKG_VERSION"));
+        let components = components(&folder.join(file), program);
         let among = |name: &&str| components.iter().any(|one| text(one, "name") == *name);
         assert!(expected.iter().all(among), "{program}: {expected:?} in {components:?}");
         assert!(!foreign.iter().any(among), "{program}: {foreign:?} in {components:?}");
@@ -166,7 +189,67 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
 }
 
 fn script(name: &str) -> Command {
-    Command::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging").join(name))
+    let mut command = Command::new(Path::new(ROOT).join("packaging").join(name));
+    command.env("SOURCE_DATE_EPOCH", "1700000000");
+    command
+}
+
+fn source(name: &str) -> String {
+    fs::read_to_string(Path::new(ROOT).join(name)).expect("a file of the tree")
+}
+
+#[test]
+fn the_lists_of_the_other_verifiers_name_what_is_in_them_with_the_checksum_of_the_lock_file() {
+    if system_program("python3").is_none() {
+        skipped!("no python3");
+    }
+    let home = Home::new();
+    let listed = |program: &str| {
+        let file = home.root().join(program);
+        let mut command = script("cyclonedx.py");
+        command.args([program, env!("CARGO_PKG_VERSION")]).arg(&file);
+        Running::start(command).wait(60).expect_code(0);
+        components(&file, program)
+    };
+    // Python's own library alone.
+    assert!(listed("authros-verify").is_empty());
+    let page = listed("verify.html");
+    let named: BTreeSet<String> = page.iter().map(|one| text(one, "name")).collect();
+    let manifest: Value = serde_json::from_str(&source("tools/verify-page/package.json")).expect("JSON");
+    let wanted: BTreeSet<String> = manifest["dependencies"].as_object().expect("packages").keys().cloned().collect();
+    assert!(named.is_superset(&wanted), "{named:?}");
+    // What builds the page is not in it.
+    assert!(!named.iter().any(|name| name.contains("esbuild")), "{named:?}");
+    let lock: Value = serde_json::from_str(&source("tools/verify-page/package-lock.json")).expect("JSON");
+    for one in &page {
+        let locked = &lock["packages"][format!("node_modules/{}", text(one, "name"))];
+        assert_eq!(one["version"], locked["version"]);
+        let integrity = text(locked, "integrity");
+        let digest = BASE64.decode(integrity.strip_prefix("sha512-").expect("SHA-512")).expect("base64");
+        let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(text(&one["hashes"][0], "content"), hex);
+    }
+}
+
+#[test]
+fn all_parts_have_the_version_of_the_program() {
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
+    let manifest = format!("version = \"{VERSION}\"");
+    let entry = format!("\"version\": \"{VERSION}\"");
+    let lines: [(&str, String); 9] = [
+        ("Cargo.toml", manifest.clone()),
+        ("tools/verify/pyproject.toml", manifest),
+        ("tools/verify-page/package.json", entry.clone()),
+        ("tools/verify-page/package-lock.json", entry),
+        ("packaging/ros2/authros/setup.py", format!("version=\"{VERSION}\"")),
+        ("packaging/ros2/authros/package.xml", format!("<version>{VERSION}</version>")),
+        ("CHANGELOG.md", format!("## [{VERSION}] - ")),
+        ("docs/gateway.md", format!("authros_{VERSION}-1_amd64.deb")),
+        ("tools/verify/README.md", format!("authros_verify-{VERSION}-py3-none-any.whl")),
+    ];
+    for (file, line) in &lines {
+        assert!(source(file).contains(line), "{file} has no '{line}'");
+    }
 }
 
 #[test]
@@ -214,10 +297,10 @@ fn a_build_for_a_machine_without_its_standard_library_is_refused_by_name_before_
 fn an_account_that_cannot_be_made_fails_the_installation_and_says_what_to_do() {
     let home = Home::new();
     // A machine without an account of that name and without the two programs that create accounts.
-    std::fs::create_dir(home.root().join("programs")).expect("made");
+    fs::create_dir(home.root().join("programs")).expect("made");
     home.file("programs/getent", "#!/bin/sh\nexit 2\n", 0o700);
     let mut command = Command::new("/bin/sh");
-    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/debian/postinst")).arg("configure");
+    command.arg(Path::new(ROOT).join("packaging/debian/postinst")).arg("configure");
     command.env("PATH", home.root().join("programs"));
     let refused = Running::start(command).wait(60).expect_code(1).stderr;
     assert!(refused.contains("useradd") && refused.contains("dpkg --configure authros"), "{refused}");

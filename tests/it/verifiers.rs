@@ -83,22 +83,46 @@ fn all_verifiers_say_the_same_of_a_bundle_and_of_its_mutations() {
     println!("{}", outcome.stdout.lines().last().unwrap_or_default());
 }
 
-/// As `pip install tools/verify` does it, without a network.
+/// Wheel and sdist of the release, and a clone as `pip install tools/verify` takes it, each without a network.
 #[test]
 fn the_second_verifier_is_installed_by_pip_and_says_what_the_program_says() {
     let Some(python) = system_program("python3") else { skipped!("no python3") };
     let exported = crate::evidence::export();
-    let place = exported.home.root().join("installed");
+    let root = exported.home.root();
+    let place = root.join("installed");
     let made = Command::new(&python).args(["-m", "venv"]).arg(&place).output().expect("python3");
     if !made.status.success() {
         skipped!("no python3-venv");
     }
-    let mut install = Command::new(place.join("bin/pip"));
-    install.args(["install", "--quiet", "--no-index", "--disable-pip-version-check", TOOLS]);
-    Running::start(install).wait(120).expect_code(0);
-    let mut command = Command::new(place.join("bin/authros-verify"));
-    command.current_dir(exported.home.root()).arg(&exported.bundle).arg("--trust").arg(&exported.trust);
-    let told = Running::start(command).wait(60).expect_code(8).stdout;
+    let built = |sources: &Path, folder: &Path| {
+        fs::create_dir(folder).expect("made");
+        let mut command = Command::new(&python);
+        command.arg("-B").arg(sources.join("build_backend.py")).arg(folder);
+        Running::start(command).wait(60).expect_code(0);
+    };
+    let release = root.join("release");
+    built(Path::new(TOOLS), &release);
+    let name = format!("authros_verify-{}", env!("CARGO_PKG_VERSION"));
+    let (wheel, sdist) = (format!("{name}-py3-none-any.whl"), format!("{name}.tar.gz"));
+    let mut unpack = Command::new("tar");
+    unpack.arg("-xzf").arg(release.join(&sdist)).arg("-C").arg(root);
+    Running::start(unpack).wait(60).expect_code(0);
+    let again = root.join("again");
+    built(&root.join(&name), &again);
+    for file in [&wheel, &sdist] {
+        let bytes = |folder: &Path| fs::read(folder.join(file)).expect("built");
+        assert!(bytes(&release) == bytes(&again), "{file} is another one when it is built from the sdist");
+    }
     let program = printed(&exported.bundle, &exported.trust, &[]);
-    assert_eq!(told.trim_end(), program.trim_end(), "the same text");
+    for source in [release.join(wheel), release.join(sdist), PathBuf::from(TOOLS)] {
+        let mut install = Command::new(place.join("bin/pip"));
+        install
+            .args(["install", "--quiet", "--no-index", "--disable-pip-version-check", "--force-reinstall"])
+            .arg(&source);
+        Running::start(install).wait(120).expect_code(0);
+        let mut command = Command::new(place.join("bin/authros-verify"));
+        command.current_dir(root).arg(&exported.bundle).arg("--trust").arg(&exported.trust);
+        let told = Running::start(command).wait(60).expect_code(8).stdout;
+        assert_eq!(told.trim_end(), program.trim_end(), "{}", source.display());
+    }
 }

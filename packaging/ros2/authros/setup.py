@@ -2,7 +2,7 @@ from glob import glob
 
 from setuptools import setup
 
-NAME = "authros_follow"
+NAME = "authros"
 
 setup(
     name=NAME,
@@ -17,7 +17,14 @@ setup(
     zip_safe=True,
     maintainer="The AuthROS authors",
     maintainer_email="authros@example.invalid",
-    description="Seals what a recorder writes, while it writes",
+    description="Starts AuthROS from ROS 2: seals recordings, captures for a gateway, serves a site",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["follow = authros_follow.follow:main"]},
+    entry_points={
+        "console_scripts": [
+            "authros = authros.program:any_command",
+            "follow = authros.program:follow",
+            "agent = authros.program:agent",
+            "serve = authros.program:serve",
+        ]
+    },
 )

@@ -1,14 +1,13 @@
 """Seals what is recorded into a folder, while it is recorded.
 
-    ros2 launch authros_follow follow.launch.py folder:=/data/run1
+    ros2 launch authros follow.launch.py folder:=/data/run1
     ros2 bag record --storage mcap --all --output /data/run1
 """
 
-import sys
-
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
 
 OPTIONS = {
     "until_closed": ("--until-closed", "end when the recording is closed and its proofs are written"),
@@ -21,9 +20,8 @@ def start(context):
         return LaunchConfiguration(name).perform(context)
 
     options = [word for name, (word, _) in OPTIONS.items() if said(name).lower() in ("true", "1", "yes")]
-    line = [sys.executable, "-m", "authros_follow.follow", said("folder"), *options]
     # On its end, what it has read is still stored.
-    return [ExecuteProcess(cmd=line, name="authros_follow", output="screen", sigterm_timeout="20")]
+    return [Node(package="authros", executable="follow", arguments=[said("folder"), *options], output="screen", sigterm_timeout="20")]
 
 
 def generate_launch_description():

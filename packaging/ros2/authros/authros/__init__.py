@@ -1,0 +1,1 @@
+"""Starts the program authros, which is installed by its own package."""

@@ -1,1 +1,0 @@
-"""Starts `authros bag follow`; the work is done by the program authros, which is installed on its own."""
