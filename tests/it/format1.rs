@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use authros::crypto::{Passphrase, SealedEnrolment, SealingKey};
+use authros::model::{Address, Domain, SignerId};
 use serde_json::{Value, json};
 
 use crate::evidence::{by_the_second, expect_agreement, verified};
@@ -145,9 +146,9 @@ fn a_robot_opens_its_enrolment_and_has_its_ring() {
     let sealed = SealedEnrolment::open(Path::new(&file), &passphrase).expect("opens");
     let enrolment = &sealed.enrolment;
     assert_eq!(enrolment.name.as_str(), "scout");
-    assert_eq!(enrolment.owner, text(&expected["accounts"], "alice").parse().expect("an account"));
-    assert_eq!(enrolment.gateway.fingerprint, text(&expected, "gateway").parse().expect("an id"));
-    assert_eq!(enrolment.domain, text(&expected, "domain").parse().expect("a domain"));
+    assert_eq!(enrolment.owner, text(&expected["accounts"], "alice").parse::<Address>().expect("an account"));
+    assert_eq!(enrolment.gateway.fingerprint, text(&expected, "gateway").parse::<SignerId>().expect("an id"));
+    assert_eq!(enrolment.domain, text(&expected, "domain").parse::<Domain>().expect("a domain"));
     let SealingKey::Topics(topics) = &enrolment.keys.now.key else { panic!("it has keys for its topics alone") };
     assert!(topics.contains_key(ODOM), "{:?}", topics.keys());
 

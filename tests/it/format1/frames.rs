@@ -6,7 +6,7 @@ use authros::gateway::frame::{FrameDecoder, FrameKind};
 use authros::gateway::hello::{self, Hello};
 use authros::gateway::session::{Session, SessionKeys, Side};
 use authros::gateway::system_keys::SystemKeyList;
-use authros::model::{Domain, PublicKey};
+use authros::model::{Domain, PublicKey, SignerId};
 use serde_json::Value;
 
 use super::{expected, sample};
@@ -102,7 +102,7 @@ fn expect_system_keys(opened: &Opened) {
     assert_eq!(*command, Command::SystemKeys);
     let list = SystemKeyList::parse(body).expect("a list of version 1");
     assert_eq!((list.domain, list.keys.is_empty()), (opened.domain, false));
-    assert_eq!(list.gateway, text(&expected(), "gateway").parse().expect("an id"));
+    assert_eq!(list.gateway, text(&expected(), "gateway").parse::<SignerId>().expect("an id"));
 }
 
 #[test]
