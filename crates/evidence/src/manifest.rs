@@ -182,13 +182,13 @@ pub(crate) fn to_json(member: &str, value: &impl Serialize) -> Result<Vec<u8>, B
     serde_json::to_vec_pretty(value).map_err(|error| BundleError::of(member, &error.to_string()))
 }
 
-/// Refuses a list of values in place of lines with names.
 /// The `format` that a JSON document names, whatever else it has.
 pub fn named_format(bytes: &[u8]) -> Option<String> {
     let told: Value = serde_json::from_slice(bytes).ok()?;
     told.get("format")?.as_str().map(str::to_owned)
 }
 
+/// Refuses a list of values in place of lines with names.
 pub(crate) fn from_json<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     let read: T = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
     let told = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
