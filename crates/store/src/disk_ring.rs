@@ -371,8 +371,8 @@ impl Segment {
         let mut segment = Self::new(path.clone());
         let mut magic = [0; MAGIC.len()];
         let is_whole = length >= segment.bytes && reader.read_exact(&mut magic).is_ok();
-        let ([beginning @ .., version], [known_beginning @ .., known]) = (magic, MAGIC);
-        if is_whole && beginning == known_beginning && version > known {
+        let ([name @ .., version], [known_name @ .., known]) = (magic, MAGIC);
+        if is_whole && name == known_name && version > known {
             return Err(StoreError::Newer { file: path, found: version.into(), known: known.into() });
         }
         if !is_whole || magic != MAGIC {
