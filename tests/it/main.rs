@@ -33,6 +33,7 @@ mod evidence;
 mod faults;
 mod follow;
 mod foreign_proofs;
+mod format1;
 mod gateway;
 mod gateway_metrics;
 mod granting;

@@ -90,6 +90,14 @@ impl Postgres {
         self.url(name)
     }
 
+    /// Runs a script, such as a dump, as the ordinary user.
+    pub fn load(&self, database: &str, script: &Path) {
+        let mut command = self.program("psql");
+        command.args(["-X", "-q", "-v", "ON_ERROR_STOP=1", "-U", "authros", "-p", &self.port.to_string()]);
+        command.arg("-h").arg(self.folder.path()).arg(database);
+        self.run(command.stdin(std::fs::File::open(script).expect("a script")));
+    }
+
     /// As the ordinary user.
     pub fn url(&self, database: &str) -> String {
         format!("postgres://authros:{PASSWORD}@127.0.0.1:{}/{database}", self.port)

@@ -258,4 +258,5 @@ def main(address, domain, fingerprint, name, transport_key, token, owner):
     print(json.dumps({"feed": feed.hex(), "head": upto, "records": records}))
 
 
-main(*sys.argv[1:])
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -37,7 +37,10 @@ pub enum ChainError {
     Absent { why: String },
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
-    #[error("{0} is not an AuthROS contract; check the address, or deploy a new one")]
+    #[error(
+        "the code at {0} is not AuthROS's contract of version 1; check the address, use a newer authros for a later \
+         contract, or deploy a new one"
+    )]
     NotTheContract(Address),
     #[error("the contract refused: {}", explain(.code))]
     Reverted { code: String },

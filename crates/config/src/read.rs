@@ -12,6 +12,11 @@ use serde::Serialize;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// A line that settings of a later version begin with.
+const VERSION: &str = "version";
+const LATER: &str = "settings of version 1 have no such line, so these are of a later version; use a newer authros, or remove \
+                     what it added";
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     Default,
@@ -84,6 +89,9 @@ pub(super) fn lines_of(path: &Path, text: &str) -> Lines {
 }
 
 pub(super) fn read_document(mut document: toml::Table, lines: &Lines) -> Result<(FileValues, TopicRules), ConfigError> {
+    if document.contains_key(VERSION) {
+        return Err(lines.fault(VERSION, LATER));
+    }
     let rules = document.remove(rules::TABLE).map(|tables| rules::read(&tables, lines)).transpose()?;
     let mut values = FileValues::new();
     flatten("", &toml::Value::Table(document), &mut |name, value| {

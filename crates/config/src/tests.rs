@@ -44,6 +44,8 @@ fn a_real_master_means_no_robots() {
 fn unknown_keys_and_bad_values_name_the_place() {
     let error = with_file("robots = 1\n[ros]\nmastr = \"x\"\n").expect_err("unknown");
     assert_eq!(error, ConfigError::Unknown { file: "config.toml".into(), line: 3, name: "ros.mastr".into() });
+    let later = with_file("version = 2\nrobots = 1").expect_err("later").to_string();
+    assert!(later.contains("config.toml line 1") && later.contains("use a newer authros"), "{later}");
     assert!(with_file("robots = 99").expect_err("range").to_string().contains("config.toml line 1"));
     assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
     assert!(with_file("[cache]\nurl = \"ftp://x\"").is_err());

@@ -62,7 +62,8 @@ pub enum CryptoError {
     #[error("{path} is not {wanted}: {found}")]
     NotAKey { path: String, wanted: &'static str, found: String },
     #[error(
-        "{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it"
+        "{path} is {what} of version {found}, but this program reads only version 1; use a newer authros, or the one that \
+         wrote it"
     )]
     Version { path: String, what: &'static str, found: u8 },
     #[error("{path} cannot be read ({source}); check the path and its permissions")]

@@ -192,7 +192,8 @@ impl<R: Read> SealedReader<R> {
 
 fn another_version(found: u8) -> io::Error {
     let text = format!(
-        "it is a backup of version {found}, but this program reads only version 1; use the authros that wrote it"
+        "it is a backup of version {found}, but this program reads only version 1; use a newer authros, or the one that \
+         wrote it"
     );
     io::Error::new(io::ErrorKind::Unsupported, text)
 }

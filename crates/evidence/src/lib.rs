@@ -27,7 +27,7 @@ pub use bundle::{
 };
 pub use committed::{BlockHeader, Committed, Flaw, LONGEST_HEADER, Protocol, Seals, seals, validators_in};
 pub use completeness::{Height, MOST_HEIGHTS};
-pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member, Suite};
+pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member, Suite, named_format};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, Reason, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
 pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, Trust, TrustError};

@@ -127,14 +127,13 @@ impl Manifest {
             return Err(BundleError::of(MIMETYPE, "does not say that this is an evidence bundle"));
         }
         let text = members.get(MANIFEST).ok_or_else(|| BundleError::of(MANIFEST, "is missing"))?;
-        let manifest: Self = from_json(text).map_err(|error| BundleError::of(MANIFEST, &error))?;
-        if manifest.format != FORMAT {
-            let found = clean(&manifest.format, 40);
-            return Err(BundleError::of(
-                MANIFEST,
-                &format!("has the format '{found}', but this program reads {FORMAT}"),
-            ));
+        // Before the form, which a later version may have changed.
+        if let Some(format) = named_format(text).filter(|format| format != FORMAT) {
+            let found = clean(&format, 40);
+            let text = format!("has the format '{found}', but this program reads {FORMAT}; use a newer authros");
+            return Err(BundleError::of(MANIFEST, &text));
         }
+        let manifest: Self = from_json(text).map_err(|error| BundleError::of(MANIFEST, &error))?;
         if manifest.suite != Suite::known() {
             let (found, known) = (clean(&manifest.suite.name, 40), Suite::known().name);
             let text =
@@ -181,6 +180,12 @@ const DEEPEST: usize = 32;
 
 pub(crate) fn to_json(member: &str, value: &impl Serialize) -> Result<Vec<u8>, BundleError> {
     serde_json::to_vec_pretty(value).map_err(|error| BundleError::of(member, &error.to_string()))
+}
+
+/// The `format` that a JSON document names, whatever else it has.
+pub fn named_format(bytes: &[u8]) -> Option<String> {
+    let told: Value = serde_json::from_slice(bytes).ok()?;
+    told.get("format")?.as_str().map(str::to_owned)
 }
 
 /// Refuses a list of values in place of lines with names.

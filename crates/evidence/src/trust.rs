@@ -83,6 +83,10 @@ impl Trust {
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
         let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
         let text = text.ok_or_else(|| TrustError("it is not text, or too long".into()))?;
+        // A later version begins with this line, which version 1 does not have.
+        if text.parse::<toml::Table>().is_ok_and(|told| told.contains_key("version")) {
+            return Err(TrustError("it is of a later version than this program reads; use a newer authros".into()));
+        }
         let trust: Self = crate::manifest::from_toml(text).map_err(|error| TrustError(clean(&error, 300)))?;
         let signers = &trust.chain.signers;
         if signers.iter().enumerate().any(|(at, signer)| signers.iter().skip(at + 1).any(|other| other == signer)) {

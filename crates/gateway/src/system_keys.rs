@@ -101,7 +101,7 @@ impl SystemKeyList {
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         expect(reader.array("magic")? == MAGIC, "magic")?;
-        expect(reader.u8("format")? == VERSION, "format")?;
+        expect(reader.u8("version")? == VERSION, "version")?;
         let list = Self {
             domain: Domain(reader.array("domain")?),
             gateway: SignerId(reader.array("gateway")?),

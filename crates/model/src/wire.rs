@@ -6,8 +6,15 @@ pub enum WireError {
     Short(&'static str),
     #[error("{0} bytes are left over after the end")]
     Long(usize),
-    #[error("the {0} has an invalid value")]
+    #[error("{}", value_text(.0))]
     Value(&'static str),
+}
+
+fn value_text(field: &str) -> String {
+    match field {
+        "version" => "it is of a version that this program does not read; use a newer authros".to_owned(),
+        _ => format!("the {field} has an invalid value"),
+    }
 }
 
 /// Takes fields from the front of a byte slice; never reads past its end, never allocates more than it holds.

@@ -79,10 +79,14 @@ pub struct ClaimedProof {
 impl ClaimedProof {
     pub fn parse(text: &[u8]) -> Result<Self, FolderError> {
         let wrong = |why: &str| FolderError::new("proof.json", why);
-        let proof: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
-        if proof.format != FORMAT {
-            return Err(wrong(&format!("its format is '{}', not {FORMAT}", clean(&proof.format, 40))));
+        // Before the form, which a later version may have changed.
+        if let Some(format) = authros_evidence::named_format(text).filter(|format| format != FORMAT) {
+            let found = clean(&format, 40);
+            return Err(wrong(&format!(
+                "its format is '{found}', but this program reads {FORMAT}; use a newer authros"
+            )));
         }
+        let proof: Self = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
         if proof.anchor.path.as_ref().is_some_and(|path| path.len() > LONGEST_PATH) {
             return Err(wrong("its path is longer than in any batch"));
         }

@@ -370,7 +370,12 @@ impl Segment {
         let mut reader = BufReader::new(&file);
         let mut segment = Self::new(path.clone());
         let mut magic = [0; MAGIC.len()];
-        if length < segment.bytes || reader.read_exact(&mut magic).is_err() || magic != MAGIC {
+        let is_whole = length >= segment.bytes && reader.read_exact(&mut magic).is_ok();
+        let ([name @ .., version], [known_name @ .., known]) = (magic, MAGIC);
+        if is_whole && name == known_name && version > known {
+            return Err(StoreError::Newer { file: path, found: version.into(), known: known.into() });
+        }
+        if !is_whole || magic != MAGIC {
             segment.bytes = 0;
         }
         while segment.bytes > 0 && segment.bytes < length {

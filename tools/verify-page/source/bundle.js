@@ -79,15 +79,17 @@ const ANCHOR = json.lines({
 
 /** A member in JSON of this form and format. */
 function read(name, bytes, form, format) {
-  let found;
   try {
-    found = form(json.parse(bytes));
+    const told = json.parse(bytes);
+    // Before the form, which a later version may have changed.
+    const named = told instanceof Map ? told.get("format") : undefined;
+    if (typeof named === "string" && named !== format)
+      throw new Malformed(name, `has another format than ${format}; use a newer page`);
+    return form(told);
   } catch (error) {
     if (!(error instanceof SyntaxError)) throw error;
     throw new Malformed(name, `is not of its form: ${error.message}`);
   }
-  if (found.format !== format) throw new Malformed(name, "has another format");
-  return found;
 }
 
 function readAnchor(name, bytes) {

@@ -54,7 +54,9 @@ function readForm(bytes) {
   // The library would skip a second one.
   if (plain.startsWith("\ufeff")) throw new TrustError("it begins with two byte order marks");
   try {
-    return TRUST(mapped(parse(plain, { integersAsBigInt: true, maxDepth: 128 })));
+    const told = mapped(parse(plain, { integersAsBigInt: true, maxDepth: 128 }));
+    if (told.has("version")) throw new SyntaxError("it is of a later version than this page reads; use a newer page");
+    return TRUST(told);
   } catch (error) {
     throw new TrustError(clean(String(error.message).split("\n")[0], 300));
   }

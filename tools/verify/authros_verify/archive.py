@@ -57,6 +57,14 @@ def json_of(data, form, name):
     return found
 
 
+def format_of(data):
+    """The format that JSON names, whatever else it has; or None."""
+    try:
+        return json.loads(data.decode()).get("format")
+    except (ValueError, AttributeError, RecursionError):
+        return None
+
+
 ACCOUNT = 20
 
 

@@ -5,7 +5,7 @@ import re
 import struct
 
 from . import state
-from .archive import ACCOUNT, LARGEST_ARCHIVE, json_of, unhex, unpacked
+from .archive import ACCOUNT, LARGEST_ARCHIVE, format_of, json_of, unhex, unpacked
 from .curves import der_numbers, is_sm2_point, sm2_verify
 from .errors import Malformed
 from .hashes import keccak, sm3
@@ -144,6 +144,9 @@ class Bundle:
     def read_manifest(self):
         if "manifest.json" not in self.members:
             raise Malformed("manifest.json is missing")
+        # Before the form, which a later version may have changed.
+        if format_of(self.members["manifest.json"]) not in (None, "authros-evidence/1"):
+            raise Malformed("manifest.json has another format than authros-evidence/1; use a newer authros-verify")
         self.manifest = json_of(self.members["manifest.json"], MANIFEST, "manifest.json")
         if self.manifest["format"] != "authros-evidence/1" or self.manifest["suite"] != SUITE:
             raise Malformed("manifest.json has another format, or names other algorithms")

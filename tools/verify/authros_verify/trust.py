@@ -80,6 +80,8 @@ def read_trust(path):
             raise ValueError("it is longer than any trust file")
         text = data.decode()
         document = toml.loads(text[1:] if text.startswith("\ufeff") else text)
+        if "version" in document:
+            raise ValueError("it is of a later version than this program reads; use a newer authros-verify")
         if not set(document) <= {"chain", "person", "authority"}:
             raise ValueError("it has other tables than docs/reader.md shows")
         chain, persons, authorities = lists(document)

@@ -91,6 +91,22 @@ fn a_span_comes_back_as_it_went_in_after_the_process_was_killed() {
 }
 
 #[test]
+fn a_ring_of_a_later_version_is_refused_and_kept() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut first = ring(folder.path(), limits(3600, 1 << 24));
+    add(&mut first, CAMERA, now(), 100);
+    drop(first);
+    let (_, path) = list(folder.path()).expect("listed").into_iter().next().expect("a file");
+    let mut bytes = fs::read(&path).expect("read");
+    bytes[MAGIC.len() - 1] = 2;
+    fs::write(&path, &bytes).expect("written");
+    let opened = DiskRing::open(folder.path(), limits(3600, 1 << 24), RecorderPrefix::ring([1; 7]));
+    let error = opened.map(drop).expect_err("a later version");
+    assert!(matches!(error, StoreError::Newer { found: 2, known: 1, .. }), "{error}");
+    assert_eq!(fs::read(&path).expect("read"), bytes, "nothing of it is cut off");
+}
+
+#[test]
 fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
     let folder = tempfile::tempdir().expect("a folder");
     let begun = now() - 1000 * SECOND;
