@@ -261,7 +261,7 @@ impl Chain {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
         }
-        Ok(self.fund_by_transfer(account).await? || self.fund_by_decree(account).await?)
+        self.fund_by_transfer(account).await
     }
 
     fn is_development(&self) -> bool {
@@ -292,17 +292,6 @@ impl Chain {
             head = self.next_block(head, Duration::from_secs(1)).await?.number;
         }
         Ok(true)
-    }
-
-    async fn fund_by_decree(&self, account: Address) -> Result<bool, ChainError> {
-        let amount = format!("{:#x}", U256::from(GIFT));
-        for method in ["anvil_setBalance", "hardhat_setBalance", "evm_setAccountBalance"] {
-            let decreed = self.rpc::<Value>(method, json!([account.to_string(), amount])).await;
-            if answered(decreed)?.is_some() && !self.balance(account).await?.is_zero() {
-                return Ok(true);
-            }
-        }
-        Ok(false)
     }
 
     /// Deploys with open registration and [`DEFAULT_DELAY`], and waits until it is mined.

@@ -1,6 +1,6 @@
 """Finds the program authros and becomes `authros bag follow`.
 
-    ros2 run authros_follow follow DIR [--until-closed] [--attach] [--tag KEY=VALUE] [--topic PATTERN]
+    ros2 run authros_follow follow DIR [--until-closed] [--tag KEY=VALUE] [--topic PATTERN]
 
 The program is taken from AUTHROS_PROGRAM, else from PATH, else from where packages and cargo put it. Everything that ROS adds
 behind --ros-args is left out.

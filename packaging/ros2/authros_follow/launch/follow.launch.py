@@ -12,7 +12,6 @@ from launch.substitutions import LaunchConfiguration
 
 OPTIONS = {
     "until_closed": ("--until-closed", "end when the recording is closed and its proofs are written"),
-    "attach": ("--attach", "also write a copy of each file with its proof attached"),
 }
 
 
