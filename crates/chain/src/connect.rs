@@ -28,7 +28,6 @@ pub(super) struct Inner {
     pub genesis: Hash,
     pub client: String,
     pub consensus: &'static str,
-    pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
     /// Estimates of frequent calls.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
@@ -64,7 +63,6 @@ impl Inner {
             genesis,
             client: "unknown".to_owned(),
             consensus: "unknown",
-            confirmations: 1,
             contract: RwLock::default(),
             gas: Mutex::default(),
             block_room: Mutex::default(),
@@ -92,7 +90,7 @@ impl Chain {
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner::new(transport, chain_id.as_u64(), Hash(genesis.hash.0));
-        let inner = Inner { client, consensus, confirmations: options.confirmations, ..inner };
+        let inner = Inner { client, consensus, ..inner };
         let chain = Self { inner: Arc::new(inner) };
         match (options.contract, options.pinned) {
             (contract, Some(pin)) => chain.hold_against(contract, pin).await?,
@@ -216,10 +214,6 @@ impl Chain {
 
     pub fn genesis(&self) -> Hash {
         self.inner.genesis
-    }
-
-    pub fn confirmations(&self) -> u64 {
-        self.inner.confirmations
     }
 
     /// Without credentials.

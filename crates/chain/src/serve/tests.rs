@@ -37,7 +37,7 @@ struct Served {
 }
 
 fn options(endpoint: Endpoint) -> ChainOptions {
-    ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 }
+    ChainOptions { endpoint, contract: None, pinned: None }
 }
 
 async fn embedded(directory: &Path, consensus: Option<Consensus>) -> Chain {
