@@ -3,6 +3,8 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use strum::IntoStaticStr;
+
 use crate::model::Timestamp;
 
 /// Buckets per doubling of time: a percentile is at most 1/16 too high.
@@ -14,7 +16,8 @@ const QUARTER: usize = 4;
 /// Total buckets, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Milestone {
     Durable,
     /// Its anchor has enough confirmations.
@@ -26,15 +29,12 @@ impl Milestone {
     pub const ALL: [Self; 3] = [Self::Durable, Self::Confirmed, Self::Verified];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Durable => "durable",
-            Self::Confirmed => "confirmed",
-            Self::Verified => "verified",
-        }
+        self.into()
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
     Seal,
@@ -51,13 +51,7 @@ impl Stage {
     pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Seal => "seal",
-            Self::Commit => "commit",
-            Self::Anchor => "anchor",
-            Self::Watch => "watch",
-            Self::Verify => "verify",
-        }
+        self.into()
     }
 }
 

@@ -9,12 +9,14 @@ const MOST_TOLD: usize = 100;
 /// The longest text of a finding, characters.
 const WIDEST: usize = 400;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "lowercase")]
 pub enum FindingKind {
     Tampered,
     Missing,
     /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
+    #[strum(to_string = "false name")]
     FalseName,
     Gap,
     Unreachable,
@@ -22,13 +24,7 @@ pub enum FindingKind {
 
 impl FindingKind {
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Tampered => "tampered",
-            Self::Missing => "missing",
-            Self::FalseName => "false name",
-            Self::Gap => "gap",
-            Self::Unreachable => "unreachable",
-        }
+        self.into()
     }
 }
 
