@@ -275,11 +275,7 @@ mod tests {
     }
 
     async fn sealing_of(url: String) -> Sealing {
-        let options = ChainOptions {
-            endpoint: Endpoint::Node { url, roots: None },
-            contract: None,
-            pinned: None,
-        };
+        let options = ChainOptions { endpoint: Endpoint::Node { url, roots: None }, contract: None, pinned: None };
         Chain::connect(options).await.expect("connects").sealing().await.expect("told")
     }
 

@@ -183,9 +183,8 @@ async fn a_restart_keeps_everything() {
     let (chain, eoa, pin) = site(home.path()).await;
     let receipt = send(&chain, &eoa, &upload(1, 1)).await;
     let token = Token([1; 32]);
-    let count = async |chain: &Chain| {
-        chain.data_query(eoa.address(), token, eoa.address()).await.expect("answers").count
-    };
+    let count =
+        async |chain: &Chain| chain.data_query(eoa.address(), token, eoa.address()).await.expect("answers").count;
     let (head, before) = (chain.head().await, count(&chain).await);
     let events = chain.events(0, u64::MAX).await.expect("events");
     let pending = chain.sign(&eoa, 3, &upload(2, 1)).await.expect("signs");

@@ -164,8 +164,7 @@ impl FolderReader {
             let end = name.strip_suffix(".zstd").unwrap_or(name).rsplit_once('.').map(|(_, end)| end);
             matches!(end, Some("db3" | "mcap"))
         };
-        let mut others: Vec<String> =
-            names.filter(is_one).filter(|name| !self.metadata.files.contains(name)).collect();
+        let mut others: Vec<String> = names.filter(is_one).filter(|name| !self.metadata.files.contains(name)).collect();
         others.sort();
         for name in others {
             self.findings.note(0, &format!("{name} is in the folder, but not in {METADATA}: it was not read"));
