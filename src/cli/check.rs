@@ -29,11 +29,6 @@ fn rounded(value: f64) -> String {
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
     let (megabytes, threads) = (rounded(audit.megabytes_per_second), counted(audit.threads as u64, "thread"));
-    let alone = match audit.sm3_megabytes_per_second {
-        // Nothing was hashed.
-        0.0 => String::new(),
-        reached => format!("; SM3 alone reaches {} MB/s on as many", rounded(reached)),
-    };
     let mut lines = vec![
         format!(
             "{} {how}, {}, in {:.1} s",
@@ -41,7 +36,7 @@ pub fn audit(audit: &RecordAudit) -> String {
             counted(audit.bytes, "byte"),
             audit.seconds
         ),
-        format!("{} records/s, {megabytes} MB/s on {threads}{alone}", rounded(audit.records_per_second)),
+        format!("{} records/s, {megabytes} MB/s on {threads}", rounded(audit.records_per_second)),
         format!(
             "{} checked against the chain, {}",
             counted(audit.batches, "batch"),

@@ -34,15 +34,12 @@ pub struct FollowArguments {
     /// End once the recording is closed and its proofs are written [default: until Ctrl-C]
     #[arg(long)]
     pub until_closed: bool,
-    /// Also write NAME.authros.mcap beside each file, a copy with its proof as an attachment
-    #[arg(long)]
-    pub attach: bool,
 }
 
 pub async fn run(context: Context, arguments: FollowArguments, output: &Output) -> Result<u8, Failure> {
     let (folder, topics) = (absolute(&arguments.folder)?, parse::values(&arguments.topics)?);
-    let (tags, until_closed, attach) = (parse::tags(&arguments.tags)?, arguments.until_closed, arguments.attach);
-    let wishes = FollowWishes { folder, topics, tags, until_closed, attach };
+    let (tags, until_closed) = (parse::tags(&arguments.tags)?, arguments.until_closed);
+    let wishes = FollowWishes { folder, topics, tags, until_closed };
     let words = (
         "stopping; what is sealed stays sealed",
         "stopped early; sealed records are stored, repeat the command to continue",
@@ -89,9 +86,6 @@ fn followed(view: &FollowView) -> String {
                 row.topic,
                 row.why
             ));
-        }
-        if let Some(copy) = &file.attached {
-            text.push_str(&format!("\n{name}: with its proof attached: {copy}"));
         }
     }
     text

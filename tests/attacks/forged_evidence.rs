@@ -38,7 +38,7 @@ impl Scene {
         home.profile("free").enrol();
         let contract = text(&boss.json(&["chain", "status"]), "contract").parse().expect("an address");
         let endpoint = Endpoint::Node { url: served.url(), roots: None };
-        let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+        let options = ChainOptions { endpoint, contract: None, pinned: None };
         let chain = Chain::connect(options).await.expect("a node");
         let pin = chain.use_contract(contract).await.expect("the contract");
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use authros::ros::recording::BESIDE;
 use serde_json::Value;
-use support::ros2::{beside_by_others, database_recorder, others_can_read, read_by_others, recorder};
+use support::ros2::{database_recorder, others_can_read, read_by_others, recorder};
 use support::{Authros, Home, Outcome, Running, count, list, skipped, text, wait_until};
 
 use crate::audit::{fill, on_small_disk};
@@ -36,10 +36,7 @@ fn lines(recordings: &[PathBuf]) -> Vec<String> {
 
 fn recordings(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).expect("listed").map(|entry| entry.expect("an entry").path());
-    let is_recording = |path: &PathBuf| {
-        let name = path.to_string_lossy();
-        path.extension().is_some_and(|end| end == "mcap" || end == "db3") && !name.ends_with(".authros.mcap")
-    };
+    let is_recording = |path: &PathBuf| path.extension().is_some_and(|end| end == "mcap" || end == "db3");
     let mut found: Vec<PathBuf> = entries.filter(is_recording).collect();
     // `run_9` is before `run_10`.
     found.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
@@ -139,7 +136,7 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
     let authros = home.authros().with(&["--robots", "0"]);
     authros.enrol();
     let folder = home.root().join("run");
-    let options = ["--until-closed", "--attach", "--tag", "mission=harbour"];
+    let options = ["--until-closed", "--tag", "mission=harbour"];
     let mut following = follower(&authros, &folder, &options);
     // The recorder makes the folder, as rosbag2 does: it refuses one that is there.
     following.wait_for_text("to appear", 120);
@@ -159,14 +156,6 @@ fn what_is_recorded_is_sealed_while_it_is_recorded_each_message_once_and_its_fil
         return;
     }
     expect_all_once(&authros, &folder, messages);
-    // The copies are read by others as the files are, and have the proofs.
-    for (file, recording) in list(&view, "files").iter().zip(recordings(&folder)) {
-        let copy = PathBuf::from(text(file, "attached"));
-        assert_eq!(lines(std::slice::from_ref(&copy)), lines(std::slice::from_ref(&recording)));
-        let proof = fs::read(text(file, "proof")).expect("read");
-        let has = beside_by_others(&copy).into_iter().any(|one| one[4].as_str() == Some(&*support::hex(&proof)));
-        assert!(has, "no proof in {}", copy.display());
-    }
     // What was followed is not sealed again by an import, nor by following it again.
     let imported = authros.json_within(240, &["bag", "import", utf8(&recordings(&folder)[0])]);
     assert_eq!((count(&imported, "imported"), count(&imported, "attachments") > 0), (0, true), "{imported}");
@@ -196,7 +185,7 @@ fn a_database_is_sealed_when_it_is_closed_and_its_recorder_notices_nothing() {
     let authros = home.authros().with(&["--robots", "0"]);
     authros.enrol();
     let folder = home.root().join("run");
-    let options = ["--until-closed", "--attach"];
+    let options = ["--until-closed"];
     let mut following = follower(&authros, &folder, &options);
     following.wait_for_text("to appear", 120);
     let recording = database_recorder(&folder, seconds, rate, split);
@@ -332,7 +321,7 @@ fn a_folder_that_is_followed_and_imported_is_sealed_once_whichever_is_first() {
     let (messages, beside) = (count(&recorded, "messages"), count(&recorded, "files") + 1);
 
     let one = Copied::new(&home, &run, "followed");
-    assert_eq!(one.follow(&["--attach"]), [messages + beside, 0]);
+    assert_eq!(one.follow(&[]), [messages + beside, 0]);
     assert_eq!(one.import(&one.folder), [0, messages, 1], "only metadata.yaml is new");
     assert_eq!(one.import(&one.folder), [0, messages, 0]);
     expect_all_once(&one.authros, &one.folder, messages);

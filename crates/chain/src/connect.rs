@@ -28,7 +28,6 @@ pub(super) struct Inner {
     pub genesis: Hash,
     pub client: String,
     pub consensus: &'static str,
-    pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
     /// Estimates of frequent calls.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
@@ -64,7 +63,6 @@ impl Inner {
             genesis,
             client: "unknown".to_owned(),
             consensus: "unknown",
-            confirmations: 1,
             contract: RwLock::default(),
             gas: Mutex::default(),
             block_room: Mutex::default(),
@@ -92,7 +90,7 @@ impl Chain {
             Endpoint::Node { .. } | Endpoint::Relay(_) => consensus(&latest, &client),
         };
         let inner = Inner::new(transport, chain_id.as_u64(), Hash(genesis.hash.0));
-        let inner = Inner { client, consensus, confirmations: options.confirmations, ..inner };
+        let inner = Inner { client, consensus, ..inner };
         let chain = Self { inner: Arc::new(inner) };
         match (options.contract, options.pinned) {
             (contract, Some(pin)) => chain.hold_against(contract, pin).await?,
@@ -218,10 +216,6 @@ impl Chain {
         self.inner.genesis
     }
 
-    pub fn confirmations(&self) -> u64 {
-        self.inner.confirmations
-    }
-
     /// Without credentials.
     pub fn url(&self) -> String {
         self.transport().url().to_owned()
@@ -261,7 +255,7 @@ impl Chain {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
         }
-        Ok(self.fund_by_transfer(account).await? || self.fund_by_decree(account).await?)
+        self.fund_by_transfer(account).await
     }
 
     fn is_development(&self) -> bool {
@@ -292,17 +286,6 @@ impl Chain {
             head = self.next_block(head, Duration::from_secs(1)).await?.number;
         }
         Ok(true)
-    }
-
-    async fn fund_by_decree(&self, account: Address) -> Result<bool, ChainError> {
-        let amount = format!("{:#x}", U256::from(GIFT));
-        for method in ["anvil_setBalance", "hardhat_setBalance", "evm_setAccountBalance"] {
-            let decreed = self.rpc::<Value>(method, json!([account.to_string(), amount])).await;
-            if answered(decreed)?.is_some() && !self.balance(account).await?.is_zero() {
-                return Ok(true);
-            }
-        }
-        Ok(false)
     }
 
     /// Deploys with open registration and [`DEFAULT_DELAY`], and waits until it is mined.

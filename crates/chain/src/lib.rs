@@ -41,7 +41,7 @@ pub use crate::reader::Nonces;
 pub use crate::relay::{Relay, RelayError, RelayLine};
 pub use crate::sealing::{MEASURED, SealedBy, SealerKind, Sealing};
 
-use crate::model::{Address, Digest, Domain, Hash, Identity, Timestamp, Token};
+use crate::model::{Address, Digest, Domain, Hash};
 
 #[derive(Clone, PartialEq, Eq)]
 pub enum Endpoint {
@@ -77,8 +77,6 @@ pub struct ChainOptions {
     pub endpoint: Endpoint,
     pub contract: Option<Address>,
     pub pinned: Option<Pin>,
-    /// Blocks on top that make a block final.
-    pub confirmations: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -161,31 +159,6 @@ pub struct EventAt {
     /// Index among the block's events.
     pub log_index: u64,
     pub event: Event,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AccountState {
-    /// The contract cannot verify the proof in it; the reader must.
-    pub identity: Identity,
-    /// From 1.
-    pub epoch: u64,
-    /// The current epoch's; the one in `identity` dates from the last registration or key rotation.
-    pub token: Token,
-    pub suspended: bool,
-    /// Version of the SM2 keys, from 1.
-    pub keys: u64,
-    /// Digests uploaded individually.
-    pub count: u64,
-    pub last: Option<Digest>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct GrantState {
-    /// Not revoked; it may have expired.
-    pub active: bool,
-    pub epoch: u64,
-    /// `None` = never.
-    pub expiry: Option<Timestamp>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -12,8 +12,8 @@ use crate::connect::POLL;
 use crate::error::decode_revert_hex;
 use crate::event::AT_ONCE;
 use crate::model::bytes::{hex, unhex};
-use crate::model::{Address, Digest, Hash, Identity, Token};
-use crate::{AccountState, BlockRef, Call, Chain, ChainError, ChainStatus, Event, EventAt, GrantState, QueryAnswer};
+use crate::model::{Address, Digest, Hash, Token};
+use crate::{BlockRef, Call, Chain, ChainError, ChainStatus, Event, EventAt, QueryAnswer};
 
 /// No account has sent that many transactions.
 const NO_NONCE: u64 = 1 << 32;
@@ -98,22 +98,6 @@ impl Chain {
         read(&mut Values::new(values)).ok_or_else(|| self.misunderstood(name, "a value has the wrong type"))
     }
 
-    /// `None` if it is not registered.
-    pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
-        let read = |values: &mut Values| {
-            let (identity, epoch) = (values.bytes()?, values.number()?);
-            if epoch == 0 {
-                return Some(None);
-            }
-            let (identity, token) = (Identity::parse(&identity).ok()?, values.token()?);
-            let (suspended, keys, count) = (values.flag()?, values.number()?, values.number()?);
-            let last = values.digest()?;
-            let last = (count > 0).then_some(last);
-            Some(Some(AccountState { identity, epoch, token, suspended, keys, count, last }))
-        };
-        self.view(owner, "accountOf", &[address(owner)], read).await
-    }
-
     /// The paper's dataQuery. A node does not authenticate `from`.
     pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
         let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
@@ -140,15 +124,6 @@ impl Chain {
     /// Zero before the first anchor.
     pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
         self.view(account, "headOf", &[address(account)], Values::hash).await
-    }
-
-    /// `None` if there never was one.
-    pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
-        let read = |values: &mut Values| {
-            Some(GrantState { active: values.flag()?, epoch: values.number()?, expiry: values.end()? })
-        };
-        let state = self.view(owner, "grantOf", &[address(owner), address(grantee)], read).await?;
-        Ok((state.epoch != 0).then_some(state))
     }
 
     /// Ends an embedded chain and waits until its file is closed.

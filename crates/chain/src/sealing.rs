@@ -214,7 +214,7 @@ mod tests {
 
     fn options(directory: &Path, consensus: Option<Consensus>, pinned: Option<Pin>) -> ChainOptions {
         let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus };
-        ChainOptions { endpoint, contract: None, pinned, confirmations: 1 }
+        ChainOptions { endpoint, contract: None, pinned }
     }
 
     #[test]
@@ -275,12 +275,7 @@ mod tests {
     }
 
     async fn sealing_of(url: String) -> Sealing {
-        let options = ChainOptions {
-            endpoint: Endpoint::Node { url, roots: None },
-            contract: None,
-            pinned: None,
-            confirmations: 1,
-        };
+        let options = ChainOptions { endpoint: Endpoint::Node { url, roots: None }, contract: None, pinned: None };
         Chain::connect(options).await.expect("connects").sealing().await.expect("told")
     }
 

@@ -4,107 +4,89 @@ use std::collections::BTreeMap;
 
 use authros_crypto::record::Revealed;
 use authros_model::{Address, Birth, Digest, Heads, RecorderId, SignerId, Timestamp, TopicId};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
+use strum::{IntoStaticStr, VariantArray};
 
 use crate::completeness::TOPIC;
 
 /// The result of a level.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, IntoStaticStr, VariantArray)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "lowercase")]
 pub enum Standing {
     /// It follows from the bytes and from what was pinned.
     Proven,
     /// It is true by the word of the exporter's own chain: it proves nothing against the exporter.
+    #[strum(to_string = "self-sealed chain")]
     OwnChain,
     /// Nothing contradicts it, but something that would prove it is missing.
+    #[strum(to_string = "not proven")]
     Unproven,
     /// Nobody claims it.
     Absent,
     /// It is contradicted.
+    #[strum(to_string = "REFUSED")]
     Refused,
 }
 
 impl Standing {
     /// In words for people.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Proven => "proven",
-            Self::OwnChain => "self-sealed chain",
-            Self::Unproven => "not proven",
-            Self::Absent => "absent",
-            Self::Refused => "REFUSED",
-        }
+        self.into()
     }
 }
 
-macro_rules! reasons {
-    ($($reason:ident $name:literal,)*) => {
-        /// Why a level is not proven, or refused. `sentences.json` has its words.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        #[allow(missing_docs, reason = "each has its sentence")]
-        pub enum Reason {
-            $($reason,)*
-        }
-
-        impl Reason {
-            /// All of them.
-            pub const ALL: &[Self] = &[$(Self::$reason,)*];
-
-            /// Its name in `sentences.json`.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$reason => $name,)*
-                }
-            }
-        }
-    };
+/// Why a level is not proven, or refused. `sentences.json` has its words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, IntoStaticStr, VariantArray)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
+#[allow(missing_docs, reason = "each has its sentence")]
+pub enum Reason {
+    NotAsFiled,
+    NotARecord,
+    OtherChain,
+    SignerMissing,
+    BadSignature,
+    RegistrationMissing,
+    RegistrationBroken,
+    NoKeys,
+    KeysReplaced,
+    IdentityMissing,
+    OtherKey,
+    Suspended,
+    SuspensionUnknown,
+    NoRight,
+    DeviceUnknown,
+    NotAnchored,
+    WrongPath,
+    HeaderMissing,
+    StateMissing,
+    StateBroken,
+    OtherCode,
+    AnchorMissing,
+    OtherAnchor,
+    FirstBlockOnly,
+    NoTrust,
+    NoSigners,
+    FewSigners,
+    OtherSigner,
+    BrokenSeals,
+    NoSeal,
+    StampPath,
+    BadStamp,
+    UnknownAuthority,
+    BadDisclosure,
+    ForeignDisclosure,
+    UnprovenDisclosure,
+    TooMuchDisclosed,
+    TwoHistories,
+    FalseHeads,
 }
 
-reasons! {
-    NotAsFiled "not_as_filed",
-    NotARecord "not_a_record",
-    OtherChain "other_chain",
-    SignerMissing "signer_missing",
-    BadSignature "bad_signature",
-    RegistrationMissing "registration_missing",
-    RegistrationBroken "registration_broken",
-    NoKeys "no_keys",
-    KeysReplaced "keys_replaced",
-    IdentityMissing "identity_missing",
-    OtherKey "other_key",
-    Suspended "suspended",
-    SuspensionUnknown "suspension_unknown",
-    NoRight "no_right",
-    DeviceUnknown "device_unknown",
-    NotAnchored "not_anchored",
-    WrongPath "wrong_path",
-    HeaderMissing "header_missing",
-    StateMissing "state_missing",
-    StateBroken "state_broken",
-    OtherCode "other_code",
-    AnchorMissing "anchor_missing",
-    OtherAnchor "other_anchor",
-    FirstBlockOnly "first_block_only",
-    NoTrust "no_trust",
-    NoSigners "no_signers",
-    FewSigners "few_signers",
-    OtherSigner "other_signer",
-    BrokenSeals "broken_seals",
-    NoSeal "no_seal",
-    StampPath "stamp_path",
-    BadStamp "bad_stamp",
-    UnknownAuthority "unknown_authority",
-    BadDisclosure "bad_disclosure",
-    ForeignDisclosure "foreign_disclosure",
-    UnprovenDisclosure "unproven_disclosure",
-    TooMuchDisclosed "too_much_disclosed",
-    TwoHistories "two_histories",
-    FalseHeads "false_heads",
-}
-
-impl Serialize for Reason {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name())
+impl Reason {
+    /// Its name in `sentences.json`.
+    pub fn name(self) -> &'static str {
+        self.into()
     }
 }
 

@@ -86,8 +86,8 @@ pub enum Report {
     Taken { messages: u32, dropped: u32, unacknowledged: u32, unconfirmed: u64 },
     /// Subscribers have everything.
     Left,
-    /// Every half second: other participants; in a graph of ROS 1, connected subscribers.
-    Alive { participants: u32 },
+    /// Every half second.
+    Alive,
     /// The child is ending on its own.
     Failed { reason: String },
 }

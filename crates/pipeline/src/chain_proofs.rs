@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::crypto::merkle::{Inclusion, KnownPaths, Leaf};
-use crate::model::{Address, Digest, Hash, SignerId};
+use crate::model::{Address, Hash, SignerId};
 use crate::store::{BatchPlace, PlacedRecord, RecordRow, UnprovenBatch};
 use crate::{Network, Plant, Result};
 
@@ -25,15 +25,8 @@ pub struct Shown {
     pub signer: SignerId,
     /// The version of the owner's keys at the block; 0 if it was not registered then.
     pub keys: u64,
-    pub anchor: Anchor,
-}
-
-#[derive(Debug, Clone, Copy)]
-pub enum Anchor {
-    /// Its digest alone, under its owner.
-    Digest(Digest),
-    /// The root of its batch, under the account that anchored it.
-    Root(Address, Hash),
+    /// Of its own digest, or of its batch's root.
+    pub anchor: Slot,
 }
 
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -58,11 +51,7 @@ pub struct Rounds {
 pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
     let mut slots = BTreeSet::new();
     for Shown { owner, signer, keys, anchor } in all {
-        match anchor {
-            Anchor::Digest(digest) => slots.insert(Slot::uploaded(owner, &digest.0).0),
-            Anchor::Root(account, root) => slots.insert(Slot::anchor(account, root).0),
-        };
-        slots.extend([Slot::account(owner).0, Slot::loan(owner, &signer.0).0]);
+        slots.extend([anchor.0, Slot::account(owner).0, Slot::loan(owner, &signer.0).0]);
         if keys != 0 {
             for version in [Slot::keys(owner, keys), Slot::keys(owner, keys + 1)] {
                 slots.extend([version.0, version.next(1).0]);
@@ -176,7 +165,7 @@ async fn proof(
     for batch in batches {
         for (owner, signer) in &batch.signers {
             let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block));
-            wanted.push(Shown { owner, signer, keys, anchor: Anchor::Root(batch.account, batch.root) });
+            wanted.push(Shown { owner, signer, keys, anchor: Slot::anchor(batch.account, batch.root) });
         }
     }
     let mut slots = slots(wanted);

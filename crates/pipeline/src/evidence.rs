@@ -15,7 +15,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::merkle::Inclusion;
 use crate::chain::{AnchorProof, Chain, ChainError, SealerKind};
-use crate::chain_proofs::{self, Anchor, Shown as Wanted, anchor_proof};
+use crate::chain_proofs::{self, Shown as Wanted, anchor_proof};
 use crate::columns::{self, Keys};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::{CryptoError, signer_id};
@@ -279,8 +279,8 @@ async fn add_headers(
 fn slots(all: &[Asked]) -> Vec<Slot> {
     let wanted = all.iter().map(|Asked { digest, owner, signer, keys, anchor, .. }| {
         let anchor = match anchor {
-            Anchoring::Each {} => Anchor::Digest(*digest),
-            Anchoring::Batch { account, root, .. } => Anchor::Root(*account, *root),
+            Anchoring::Each {} => Slot::uploaded(*owner, &digest.0),
+            Anchoring::Batch { account, root, .. } => Slot::anchor(*account, *root),
         };
         Wanted { owner: *owner, signer: *signer, keys: *keys, anchor }
     });

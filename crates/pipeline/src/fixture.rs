@@ -87,8 +87,7 @@ pub async fn embedded(directory: &Path, pinned: Option<Pin>) -> Chain {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
         let endpoint = Endpoint::Embedded { directory: directory.to_owned(), consensus: None };
-        match Chain::connect(ChainOptions { endpoint, contract: None, pinned: pinned.clone(), confirmations: 1 }).await
-        {
+        match Chain::connect(ChainOptions { endpoint, contract: None, pinned: pinned.clone() }).await {
             Ok(chain) => return chain,
             Err(error) => assert!(Instant::now() < deadline, "{error}"),
         }

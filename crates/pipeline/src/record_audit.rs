@@ -72,8 +72,7 @@ pub fn audit(
     log_of(plant, log, scope, &mut tally)?;
     file_of(plant, scope, &mut tally)?;
     let seconds = begun.elapsed().as_secs_f64();
-    let hashed = records::sm3_rate(plant.provider, reading.threads);
-    Ok(tally.report(scope.deep, seconds, reading, hashed))
+    Ok(tally.report(scope.deep, seconds, reading))
 }
 
 /// Every block of the embedded chain, run again; other chains are vouched for by their nodes.

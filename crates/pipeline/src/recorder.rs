@@ -404,10 +404,7 @@ impl MessageSink for Recorder {
 /// A notice for the operator; `None` for what is reported elsewhere.
 fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
     let told = match notice {
-        CaptureNotice::PublisherConnected { .. }
-        | CaptureNotice::UnconfirmedPublisher { .. }
-        | CaptureNotice::MasterBack
-        | CaptureNotice::MasterLost { .. } => return None,
+        CaptureNotice::PublisherConnected { .. } | CaptureNotice::UnconfirmedPublisher { .. } => return None,
         CaptureNotice::PublisherLost { topic, caller_id, reason, .. } => {
             (false, format!("{caller_id} on {topic} is no longer read: {reason}"))
         }

@@ -3,6 +3,8 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use strum::IntoStaticStr;
+
 use crate::model::Timestamp;
 
 /// Buckets per doubling of time: a percentile is at most 1/16 too high.
@@ -14,7 +16,8 @@ const QUARTER: usize = 4;
 /// Total buckets, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Milestone {
     Durable,
     /// Its anchor has enough confirmations.
@@ -26,15 +29,12 @@ impl Milestone {
     pub const ALL: [Self; 3] = [Self::Durable, Self::Confirmed, Self::Verified];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Durable => "durable",
-            Self::Confirmed => "confirmed",
-            Self::Verified => "verified",
-        }
+        self.into()
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, IntoStaticStr)]
+#[strum(serialize_all = "lowercase")]
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
     Seal,
@@ -51,13 +51,7 @@ impl Stage {
     pub const ALL: [Self; 5] = [Self::Seal, Self::Commit, Self::Anchor, Self::Watch, Self::Verify];
 
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Seal => "seal",
-            Self::Commit => "commit",
-            Self::Anchor => "anchor",
-            Self::Watch => "watch",
-            Self::Verify => "verify",
-        }
+        self.into()
     }
 }
 
@@ -99,10 +93,6 @@ impl Stages {
         Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
     }
 
-    pub fn count_of(&self, milestone: Milestone) -> u64 {
-        self.reached[milestone as usize].iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
-    }
-
     /// How many messages reached a milestone within each of these powers of two, microseconds; the total number; and
     /// the total of their seconds, at most 1/16 too high.
     pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
@@ -126,19 +116,6 @@ impl Stages {
             (end_of(place * QUARTER + QUARTER - 1), count)
         });
         counted.filter(|(_, count)| *count > 0).collect()
-    }
-
-    /// The time within which `percent` of a hundred messages reached a milestone; `None` if none did.
-    pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
-        let all = self.count_of(milestone);
-        let rank = (all * percent).div_ceil(100).max(1);
-        let mut seen = 0;
-        let buckets = &self.reached[milestone as usize];
-        let found = buckets.iter().position(|bucket| {
-            seen += bucket.load(Ordering::Relaxed);
-            seen >= rank
-        });
-        found.filter(|_| all > 0).map(|index| Duration::from_micros(end_of(index)))
     }
 }
 
@@ -183,16 +160,16 @@ mod tests {
     }
 
     #[test]
-    fn percentiles_are_of_what_was_reached() {
+    fn messages_count_by_the_time_that_they_took() {
         let stages = Stages::default();
-        assert_eq!(stages.within(Milestone::Durable, 50), None);
         let now = Timestamp::now();
         let ago = |milliseconds: u64| Timestamp(now.0 - milliseconds * 1_000_000);
         stages.reached(Milestone::Durable, (1..=100).map(|number| ago(number * 100)));
-        assert_eq!(stages.count_of(Milestone::Durable), 100);
-        let median = stages.within(Milestone::Durable, 50).expect("a median").as_millis();
-        assert!((5_000..5_900).contains(&median), "{median}");
-        assert_eq!(stages.count_of(Milestone::Verified), 0);
+        let (within, all, seconds) = stages.within_powers(Milestone::Durable, &[22, 23]);
+        assert_eq!(all, 100);
+        assert!((40..=41).contains(&within[0]) && (82..=83).contains(&within[1]), "{within:?}");
+        assert!((505.0..590.0).contains(&seconds), "{seconds}");
+        assert_eq!(stages.within_powers(Milestone::Verified, &[22]).1, 0);
     }
 
     #[test]

@@ -23,11 +23,7 @@ pub struct Statement<'a> {
 /// Durable when this returns. `None` if the keys do not cover its name. One caller at a time per owner and topic.
 pub fn state(plant: &Plant, owner: Address, keys: &EpochKeys, statement: Statement<'_>) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
-    let speaker = Speaker::of(keys, owner, &topic);
-    put(plant, &speaker, statement, |row| {
-        let digest = row.digest;
-        plant.ledger.records.append(vec![row]).map(|()| Some(digest))
-    })
+    append(plant, &Speaker::of(keys, owner, &topic), statement).map(Some)
 }
 
 /// The same with the id of its type in the header, by which it is found without its key.
@@ -39,11 +35,7 @@ pub fn state_to_be_found(
 ) -> Result<Option<Digest>> {
     let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
     let filters = topic.filters(statement.type_name, &BTreeMap::new());
-    let speaker = Speaker::of(keys, owner, &topic);
-    put_filtered(plant, &speaker, statement, filters, |row| {
-        let digest = row.digest;
-        plant.ledger.records.append(vec![row]).map(|()| Some(digest))
-    })
+    append(plant, &Speaker { filters, ..Speaker::of(keys, owner, &topic) }, statement).map(Some)
 }
 
 pub struct Speaker<'a> {
@@ -53,6 +45,8 @@ pub struct Speaker<'a> {
     pub epoch: u64,
     pub topic_id: TopicId,
     pub topic_key: &'a TopicKey,
+    /// By which the record is found without its key.
+    pub filters: Vec<FilterId>,
 }
 
 impl<'a> Speaker<'a> {
@@ -64,8 +58,16 @@ impl<'a> Speaker<'a> {
             epoch: keys.epoch,
             topic_id: topic.id,
             topic_key: &topic.key,
+            filters: Vec::new(),
         }
     }
+}
+
+pub fn append(plant: &Plant, speaker: &Speaker<'_>, statement: Statement<'_>) -> Result<Digest> {
+    put(plant, speaker, statement, |row| {
+        let digest = row.digest;
+        plant.ledger.records.append(vec![row]).map(|()| digest)
+    })
 }
 
 pub fn put<T>(
@@ -74,18 +76,8 @@ pub fn put<T>(
     statement: Statement<'_>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
 ) -> Result<T> {
-    put_filtered(plant, speaker, statement, Vec::new(), acknowledge)
-}
-
-fn put_filtered<T>(
-    plant: &Plant,
-    speaker: &Speaker<'_>,
-    statement: Statement<'_>,
-    filters: Vec<FilterId>,
-    acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
-) -> Result<T> {
     let Statement { kind, topic, type_name, body } = statement;
-    let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
+    let Speaker { domain, owner, signing, epoch, topic_id, topic_key, ref filters } = *speaker;
     let seq = plant.ledger.records.next_seq(owner, signer_id(&signing.public), topic_id)?;
     let head = Head {
         topic: topic.to_owned(),
@@ -108,7 +100,7 @@ fn put_filtered<T>(
         seq,
         topic_id,
         kind,
-        filters,
+        filters: filters.clone(),
         captured_at: Timestamp::now(),
         head: &head,
         body,

@@ -60,7 +60,7 @@ impl Line {
         let owner = Owner::new("owner".parse::<ProfileName>().expect("a name"), keyring);
         let directory = home.path().join("chain");
         let endpoint = Endpoint::Embedded { directory, consensus: None };
-        let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+        let options = ChainOptions { endpoint, contract: None, pinned: None };
         let chain = Chain::connect(options).await.expect("a chain");
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = pin.domain();

@@ -61,7 +61,7 @@ pub trait MessageSink: Send + Sync {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CaptureNotice {
     /// A publisher is being read.
-    PublisherConnected { topic: Arc<str>, caller_id: String, type_name: Arc<str>, origin: Arc<Origin> },
+    PublisherConnected { topic: Arc<str>, origin: Arc<Origin> },
     /// A publisher that was being read is gone, or its topic is no longer captured.
     PublisherLost { topic: Arc<str>, caller_id: String, number: u64, reason: String },
     /// Claimed by somebody, not listed by the master, and not contacted.
@@ -80,10 +80,6 @@ pub enum CaptureNotice {
     ReadingBroken { reason: String },
     /// A publisher vanished while nothing could be read of it.
     EndUnknown { topic: Arc<str>, caller_id: String, at_least: u64 },
-    /// Connected publishers are still read.
-    MasterLost { reason: String },
-    /// The master answers again.
-    MasterBack,
     /// A request to shut down, which this node ignores.
     ShutdownAsked { by: String, reason: String },
 }
@@ -134,7 +130,7 @@ impl Capture {
         });
         let slave = SlaveServer::start(&host, Arc::clone(&shared) as _)?;
         let registrar = Threads::default();
-        let mut work = Work { shared: Arc::clone(&shared), slave_uri: slave.uri.clone(), master_up: None };
+        let work = Work { shared: Arc::clone(&shared), slave_uri: slave.uri.clone() };
         let spawned = registrar.spawn("ros-registrar", move || work.run());
         spawned.map_err(|error| RosError::system("start a thread", &error))?;
         Ok(Self { shared, registrar, slave })
@@ -317,11 +313,10 @@ const MOST_PUBLISHERS: usize = 256;
 struct Work {
     shared: Arc<Shared>,
     slave_uri: String,
-    master_up: Option<bool>,
 }
 
 impl Work {
-    fn run(&mut self) {
+    fn run(&self) {
         let mut next_round = Instant::now();
         loop {
             let errands = self.shared.errands(next_round.saturating_duration_since(Instant::now()));
@@ -346,7 +341,7 @@ impl Work {
     }
 
     /// An urgent topic goes first, but only once: a flood of hints for one topic must not starve the others.
-    fn register(&mut self, topics: Vec<Arc<Topic>>) {
+    fn register(&self, topics: Vec<Arc<Topic>>) {
         let mut queue: VecDeque<_> = topics.into();
         let mut hurried = BTreeSet::new();
         while let Some(topic) = queue.pop_front() {
@@ -368,14 +363,12 @@ impl Work {
     }
 
     /// Whether the master answered.
-    fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
+    fn register_one(&self, topic: &Arc<Topic>) -> bool {
         // Taken first: only an answer requested later can contradict a claim.
         let claims = topic.take_claims();
         let asked_at = Instant::now();
         let params = self.params(&[topic.name.as_str(), "*"]);
-        let answer = call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE);
-        self.master_is(answer.as_ref().map(drop).map_err(ToString::to_string));
-        match answer {
+        match call(&self.shared.master, "registerSubscriber", &params, Instant::now() + PATIENCE) {
             Ok(publishers) => {
                 meet(&self.shared, topic, &publishers.texts(), asked_at);
                 // Nobody connects to publishers that the master did not list.
@@ -399,16 +392,6 @@ impl Work {
     fn params(&self, middle: &[&str]) -> Vec<Value> {
         let (name, uri) = (self.shared.node_name.as_str(), self.slave_uri.as_str());
         std::iter::once(name).chain(middle.iter().copied()).chain([uri]).map(Value::from).collect()
-    }
-
-    fn master_is(&mut self, state: Result<(), String>) {
-        if self.master_up.replace(state.is_ok()) == Some(state.is_ok()) {
-            return;
-        }
-        self.shared.notice(match state {
-            Ok(()) => CaptureNotice::MasterBack,
-            Err(reason) => CaptureNotice::MasterLost { reason: clean(&reason, 200) },
-        });
     }
 
     fn unregister(&self, names: &BTreeSet<TopicName>, deadline: Instant) {

@@ -192,8 +192,7 @@ impl Graph {
 
     /// The node that publishes the topic from this address.
     pub(crate) fn node_at(&self, topic: &str, place: &Endpoint) -> Option<String> {
-        let state = self.ask("getSystemState", Instant::now() + PATIENCE).ok()?;
-        let nodes = rows(state.as_array()?.first()?).find(|(name, _)| *name == topic)?.1.texts();
+        let nodes = self.presence(topic).ok()?.publishers;
         nodes.into_iter().take(MOST_NODES).find(|node| self.place_of(node).is_ok_and(|found| found == *place))
     }
 

@@ -147,15 +147,6 @@ fn as_float(value: &Value) -> Option<f64> {
     }
 }
 
-fn count(value: &Value, path: &str) -> Option<usize> {
-    match value.get(path)? {
-        Value::Unsigned(number) => usize::try_from(*number).ok(),
-        Value::Integer(number) => usize::try_from(*number).ok(),
-        Value::Bool(flag) => Some(usize::from(*flag)),
-        _ => None,
-    }
-}
-
 fn text(value: &Value, path: &str) -> String {
     match value.get(path) {
         Some(Value::Text(text)) => clean(text, 120),
@@ -317,7 +308,7 @@ fn fix(value: &Value, _: &Body) -> Readable {
     out.line("Latitude", degrees("latitude"));
     out.line("Longitude", degrees("longitude"));
     out.line("Altitude, m", shown(value, "altitude"));
-    let kind = match count(value, "position_covariance_type") {
+    let kind = match value.count("position_covariance_type") {
         Some(1) => "approximated",
         Some(2) => "diagonal known",
         Some(3) => "known",
@@ -336,7 +327,7 @@ fn fix_word(value: &Value) -> String {
         Some(Value::Integer(2)) => "ground-based augmentation",
         _ => "unknown",
     };
-    let services = count(value, "status.service").unwrap_or(0);
+    let services = value.count("status.service").unwrap_or(0);
     let named = [(1, "GPS"), (2, "GLONASS"), (4, "BeiDou"), (8, "Galileo")];
     let names: Vec<&str> = named.iter().filter(|(bit, _)| services & bit != 0).map(|(_, name)| *name).collect();
     if names.is_empty() { word.to_owned() } else { format!("{word} ({})", names.join(", ")) }
@@ -420,7 +411,7 @@ fn diagnostics(value: &Value, _: &Body) -> Readable {
     out.line("Stamp (UTC)", stamp(value));
     let head = ["level", "name", "message", "hardware"];
     let table = listed("Status", &head, value, "status", |item| {
-        let level = count(item, "level").and_then(|level| ["OK", "WARN", "ERROR", "STALE"].get(level).copied());
+        let level = item.count("level").and_then(|level| ["OK", "WARN", "ERROR", "STALE"].get(level).copied());
         let level = level.unwrap_or("?").to_owned();
         vec![level, text(item, "name"), text(item, "message"), text(item, "hardware_id")]
     });
@@ -460,7 +451,7 @@ impl<'a> Matrix<'a> {
         let Some(Value::Text(encoding)) = value.get("encoding") else { return Err(broken()) };
         let encoding = clean(encoding, 40);
         let (channels, sample) = layout(&encoding).ok_or_else(|| PictureError::Encoding(encoding.clone()))?;
-        let number = |field: &str| count(value, field).ok_or_else(broken);
+        let number = |field: &str| value.count(field).ok_or_else(broken);
         let (width, height, step) = (number("width")?, number("height")?, number("step")?);
         let data = value.get("data").and_then(|data| bytes(data, body)).ok_or_else(broken)?;
         let row = width.checked_mul(channels * sample).ok_or_else(broken)?;

@@ -109,8 +109,8 @@ fn losing_the_master_loses_no_message() {
     let fleet = Fleet::start(first.uri(), 1, FleetOptions { odometry_hz: 100.0, picture_hz: 1.0 }).expect("fleet");
     until("messages", || capture.status()[0].messages > 5);
     drop(first);
-    let lost = |notice: &CaptureNotice| matches!(notice, CaptureNotice::MasterLost { .. });
-    until("the loss", || kept.notices.lock().expect("lock").iter().any(lost));
+    // Longer than the interval between registrations, which fail now.
+    std::thread::sleep(Duration::from_secs(2));
     let before = capture.status()[0].messages;
     until("messages without a master", || capture.status()[0].messages > before + 20);
     assert_eq!(capture.status()[0].lost_in_transport, 0);

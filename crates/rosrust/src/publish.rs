@@ -80,8 +80,7 @@ impl<'a, W: Write> Child<'a, W> {
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
                 self.look()?;
-                let subscribers: usize = self.outlets.values().map(|outlet| outlet.subscribers().len()).sum();
-                send(self.out, &Report::Alive { participants: u32::try_from(subscribers).unwrap_or(u32::MAX) }, &[])?;
+                send(self.out, &Report::Alive, &[])?;
                 alive = Some(Instant::now());
             }
         }

@@ -205,7 +205,7 @@ async fn look(home: &Home, config: &Config, pinned: PinResult, sheet: &mut Sheet
         None => (Endpoint::Embedded { directory: home.chain(), consensus: config.consensus }, EMBEDDED.to_owned()),
     };
     let has_pin = pinned.is_some();
-    let options = ChainOptions { endpoint, contract: config.contract, pinned, confirmations: config.confirmations };
+    let options = ChainOptions { endpoint, contract: config.contract, pinned };
     match Chain::connect(options).await {
         Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
         Err(error) => {

@@ -114,7 +114,7 @@ async fn ask(
     sealed_by: &mut Option<SealedBy>,
 ) -> Result<Option<AnchoredAt>, ChainError> {
     let endpoint = Endpoint::Node { url: url.to_owned(), roots: None };
-    let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+    let options = ChainOptions { endpoint, contract: None, pinned: None };
     let chain = Chain::connect(options).await?;
     let proof = &folder.proof;
     *sealed_by = Some(chain.sealed_by().await?);

@@ -32,7 +32,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"capture","topics":["/odom"],"type_name":null,"count":3,"milliseconds":null,"tags":[["a","b"]]}"#,
     r#"{"command":"stop_capture"}"#,
     r#"{"command":"import_recording","path":"/a.bag","topics":[],"tags":[],"again":false}"#,
-    r#"{"command":"follow_folder","folder":"/a","topics":[],"tags":[],"until_closed":true,"attach":false}"#,
+    r#"{"command":"follow_folder","folder":"/a","topics":[],"tags":[],"until_closed":true}"#,
     r#"{"command":"import_home","home":"/h"}"#,
     r#"{"command":"export_recording","path":"/a.mcap","format":"mcap","compression":"none","owner":null,"topics":[],"since":null,"until":null,"unanchored":false}"#,
     r#"{"command":"recording_progress"}"#,

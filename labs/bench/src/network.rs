@@ -188,7 +188,7 @@ async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
         }
         Place::Node(url) => Endpoint::Node { url: url.clone(), roots: None },
     };
-    let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
+    let options = ChainOptions { endpoint, contract: None, pinned: None };
     // This error's advice names a setting; here it is an argument.
     Chain::connect(options).await.map_err(|error| match error {
         ChainError::Unreachable { url, reason, .. } => {

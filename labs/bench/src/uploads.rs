@@ -178,8 +178,11 @@ async fn warm_up(network: &Network, load: &Load) -> Result<u64, Failure> {
 async fn counted(network: &Network) -> Result<u64, Failure> {
     let mut sum = 0;
     for account in &network.accounts {
-        let state = network.chain.account(account.address).await?;
-        sum += state.ok_or_else(|| internal("the account is no longer registered"))?.count;
+        let answer = network.chain.data_query(account.address, account.token, account.address).await?;
+        if !answer.authorised {
+            return Err(internal("the account is no longer registered"));
+        }
+        sum += answer.count;
     }
     Ok(sum)
 }

@@ -82,7 +82,7 @@ async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec
         Some(node) => Endpoint::Node { url: node.http(), roots: None },
         None => Endpoint::Embedded { directory: paths.chain(), consensus: None },
     };
-    let options = ChainOptions { endpoint, contract: None, pinned: Some(pin.clone()), confirmations: 1 };
+    let options = ChainOptions { endpoint, contract: None, pinned: Some(pin.clone()) };
     let chain = Chain::connect(options).await.expect("the chain opens");
     (pin, chain.events(0, u64::MAX).await.expect("its events"))
 }

@@ -12,7 +12,7 @@ use super::machine::{Environment, Machine, Outcome};
 use super::pool::{BLOCK_GAS, Pool, TRANSACTION_GAS};
 use super::sealing::{self, Founded, Sealing, Search};
 use super::trie::{EMPTY_ROOT, Nodes, Turnover, below, list_root};
-use super::{rpc::Filters, world::Tries};
+use super::world::Tries;
 use crate::model::{Hash, Timestamp};
 use crate::{BlockRef, ChainError, Consensus, genesis::noise, transaction::Transaction};
 
@@ -33,7 +33,6 @@ pub struct Node {
     pub consensus: Consensus,
     pub sealing: Sealing,
     pub head: BlockRef,
-    pub filters: Filters,
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
     pub trouble: Option<String>,
@@ -76,7 +75,6 @@ impl Node {
             consensus,
             sealing,
             head: reference(&head),
-            filters: Filters::default(),
             audits: VecDeque::new(),
             trouble: None,
             not_before: Instant::now() + wait,

@@ -1,10 +1,7 @@
 //! Ethereum's JSON-RPC methods over the embedded chain. State is kept for the newest block only.
 
-use std::collections::HashMap;
-use std::time::{Duration, Instant};
-
 use alloy_primitives::{B256, Log, U256};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::block::{self, Header, Mining, data, quantity, read_address, read_data, read_hash, read_quantity};
 use super::world::{KEPT, Tries};
@@ -46,17 +43,6 @@ pub fn answer(node: &mut Node, method: &str, parameters: Value) -> Reply {
         "eth_feeHistory" => fee_history(node, &parameters),
         "eth_sendRawTransaction" => send(node, &parameters),
         "eth_call" | "eth_estimateGas" => message_call(node, method == "eth_call", &parameters),
-        "eth_newBlockFilter" => install(node, None),
-        "eth_newFilter" => install(node, Some(parameters.at(0, |wanted| wanted.as_object().cloned())?)),
-        "eth_getFilterChanges" => changes(node, &parameters),
-        "eth_uninstallFilter" => {
-            let id = parameters.0.first().and_then(read_quantity);
-            Ok(Value::Bool(id.is_some_and(|id| node.filters.open.remove(&id).is_some())))
-        }
-        "eth_getFilterLogs" => {
-            let wanted = waiting(node, &parameters)?.wanted.clone().ok_or_else(unknown_filter)?;
-            logs(node, &Value::Object(wanted))
-        }
         _ => read(node, method, &parameters),
     }
 }
@@ -349,75 +335,4 @@ fn logs(node: &Node, filter: &Value) -> Reply {
         }
     }
     Ok(Value::Array(found))
-}
-
-// Filters: what is new since the last request. Few, and they expire.
-
-const MOST_FILTERS: usize = 64;
-const LIFE: Duration = Duration::from_secs(300);
-/// Hashes per answer; the rest follows with the next request.
-const MOST_HASHES: u64 = 1000;
-
-struct Waiting {
-    wanted: Option<Map<String, Value>>,
-    next: u64,
-    asked: Instant,
-}
-
-#[derive(Default)]
-pub struct Filters {
-    last: u64,
-    open: HashMap<U256, Waiting>,
-}
-
-fn unknown_filter() -> TransportError {
-    refused(-32000, "filter not found")
-}
-
-fn waiting<'n>(node: &'n mut Node, parameters: &Parameters) -> Result<&'n mut Waiting, TransportError> {
-    let id = parameters.0.first().and_then(read_quantity);
-    id.and_then(|id| node.filters.open.get_mut(&id)).ok_or_else(unknown_filter)
-}
-
-fn install(node: &mut Node, wanted: Option<Map<String, Value>>) -> Reply {
-    let (next, now) = (node.head.number + 1, Instant::now());
-    if let Some(wanted) = &wanted {
-        // Reports a malformed filter.
-        logs(node, &within(wanted, next, next))?;
-    }
-    let Filters { last, open } = &mut node.filters;
-    open.retain(|_, waiting| now.duration_since(waiting.asked) < LIFE);
-    if open.len() >= MOST_FILTERS {
-        return Err(refused(-32005, format!("there are {MOST_FILTERS} filters already; uninstall some")));
-    }
-    *last += 1;
-    open.insert(U256::from(*last), Waiting { wanted, next, asked: now });
-    Ok(quantity(*last))
-}
-
-fn changes(node: &mut Node, parameters: &Parameters) -> Reply {
-    let newest = node.head.number;
-    let waiting_for = waiting(node, parameters)?;
-    waiting_for.asked = Instant::now();
-    let (first, wanted) = (waiting_for.next, waiting_for.wanted.clone());
-    if first > newest {
-        return Ok(json!([]));
-    }
-    let most = if wanted.is_some() { MOST_BLOCKS } else { MOST_HASHES };
-    let last = newest.min(first + most - 1);
-    let hash = |number| Ok::<_, TransportError>(data(&header(node, number)?.hash().0));
-    let news = match wanted {
-        Some(wanted) => logs(node, &within(&wanted, first, last))?,
-        None => (first..=last).map(hash).collect::<Result<Value, _>>()?,
-    };
-    waiting(node, parameters)?.next = last + 1;
-    Ok(news)
-}
-
-fn within(filter: &Map<String, Value>, first: u64, last: u64) -> Value {
-    let mut filter = filter.clone();
-    filter.remove("blockHash");
-    filter.insert("fromBlock".into(), quantity(first));
-    filter.insert("toBlock".into(), quantity(last));
-    Value::Object(filter)
 }

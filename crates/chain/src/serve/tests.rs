@@ -37,7 +37,7 @@ struct Served {
 }
 
 fn options(endpoint: Endpoint) -> ChainOptions {
-    ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 }
+    ChainOptions { endpoint, contract: None, pinned: None }
 }
 
 async fn embedded(directory: &Path, consensus: Option<Consensus>) -> Chain {
@@ -194,33 +194,15 @@ async fn requests_batches_and_mistakes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn filters_give_what_came_since() {
+async fn a_block_is_found_by_number_and_by_hash_and_so_are_its_logs_and_transactions() {
     let home = tempfile::tempdir().expect("folder");
     let served = serve(home.path(), LIMITS, None).await;
-    let blocks = served.ask("eth_newBlockFilter", json!([])).await;
-    let logs = served.ask("eth_newFilter", json!([{ "topics": [] }])).await;
-    assert_eq!(served.ask("eth_getFilterChanges", json!([blocks])).await, json!([]));
     let pin = served.chain.deploy(&EoaSecret::generate().expect("key")).await.expect("deploys");
-    let hashes = served.ask("eth_getFilterChanges", json!([blocks])).await;
     let newest = served.ask("eth_getBlockByNumber", json!(["latest", false])).await;
-    assert_eq!(hashes, json!([newest["hash"]]));
-    let found = served.ask("eth_getFilterChanges", json!([logs])).await;
+    let found = served.ask("eth_getLogs", json!([{ "blockHash": newest["hash"] }])).await;
     assert!(found.as_array().is_some_and(|found| !found.is_empty()));
     assert_eq!(found[0]["address"], json!(pin.contract.to_string().to_lowercase()));
-    for filter in [&blocks, &logs] {
-        assert_eq!(served.ask("eth_getFilterChanges", json!([filter])).await, json!([]), "given once");
-    }
-    let all = served.ask("eth_newFilter", json!([{ "fromBlock": "0x0", "toBlock": "latest" }])).await;
-    assert_eq!(served.ask("eth_getFilterLogs", json!([all])).await, found);
-    assert_eq!(served.ask("eth_getFilterLogs", json!([blocks])).await["code"], json!(-32000));
-    assert_eq!(served.ask("eth_newFilter", json!([{ "topics": ["0x12"] }])).await["code"], json!(-32602));
-    assert_eq!(served.ask("eth_uninstallFilter", json!([blocks])).await, json!(true));
-    assert_eq!(served.ask("eth_uninstallFilter", json!([blocks])).await, json!(false));
-    assert_eq!(served.ask("eth_getFilterChanges", json!([blocks])).await["code"], json!(-32000));
-    for _ in 0..62 {
-        assert!(served.ask("eth_newBlockFilter", json!([])).await.is_string());
-    }
-    assert_eq!(served.ask("eth_newBlockFilter", json!([])).await["code"], json!(-32005), "there is an end to it");
+    assert_eq!(served.ask("eth_getLogs", json!([{ "topics": ["0x12"] }])).await["code"], json!(-32602));
     let number = newest["number"].clone();
     assert_eq!(served.ask("eth_getBlockTransactionCountByNumber", json!([number])).await, json!("0x1"));
     assert_eq!(served.ask("eth_getBlockTransactionCountByHash", json!([newest["hash"]])).await, json!("0x1"));

@@ -110,7 +110,7 @@ async fn through(node: &Arc<Node>) -> Chain {
     let contract = node.chain.pin().map(|pin| pin.contract);
     let relay: Arc<dyn Relay> = Arc::clone(node) as Arc<dyn Relay>;
     let endpoint = Endpoint::Relay(RelayLine(relay));
-    let options = ChainOptions { endpoint, contract, pinned: None, confirmations: 1 };
+    let options = ChainOptions { endpoint, contract, pinned: None };
     Chain::connect(options).await.expect("connects")
 }
 
@@ -220,7 +220,6 @@ async fn a_wide_question_is_asked_in_halves_whatever_is_wrong_with_it() {
         endpoint: Endpoint::Relay(RelayLine(node as Arc<dyn Relay>)),
         contract: None,
         pinned: chain.pin(),
-        confirmations: 1,
     };
     let client = Chain::connect(options).await.expect("connects");
     let error = client.events(0, u64::MAX).await.expect_err("not even one block");

@@ -4,6 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use authros_model::{Address, SignerId, Timestamp, TopicId, clean, grouped};
+use strum::VariantArray as _;
 
 use super::{Wording, filled};
 use crate::report::{Outcome, RecordReport, Report, Standing, Stretch};
@@ -54,9 +55,6 @@ fn flag(is_so: bool) -> Fact {
 fn count(number: usize) -> Fact {
     Fact::Number(number as u64)
 }
-
-const STANDINGS: [Standing; 5] =
-    [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
 
 /// How many records, the span of their capture times, and the latest time by which an authority's stamp has them.
 #[derive(Debug, Default)]
@@ -249,7 +247,7 @@ fn levels(wording: &Wording, report: &Report) -> String {
     }
     let told = |(letter, standings): (&char, &Vec<Standing>)| {
         let number = |standing: Standing| standings.iter().filter(|one| **one == standing).count();
-        let counts = STANDINGS.iter().map(|one| (number(*one), one.word())).filter(|(number, _)| *number > 0);
+        let counts = Standing::VARIANTS.iter().map(|one| (number(*one), one.word())).filter(|(number, _)| *number > 0);
         let is_one_kind = counts.clone().count() == 1;
         let words = counts.map(|(number, word)| match is_one_kind {
             true => word.to_owned(),

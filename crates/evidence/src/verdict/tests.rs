@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use authros_model::Timestamp;
 use serde_json::Value;
+use strum::VariantArray as _;
 
 use super::facts::{Fact, Facts, Fields};
 use super::*;
@@ -19,9 +20,9 @@ fn raw() -> Value {
 fn every_reason_and_standing_has_its_words_and_every_name_is_explained() {
     let (raw, wording) = (raw(), &*WORDING);
     let named: BTreeSet<&str> = wording.reasons.keys().map(String::as_str).collect();
-    let known: BTreeSet<&str> = Reason::ALL.iter().map(|reason| reason.name()).chain(["not_checked"]).collect();
+    let known: BTreeSet<&str> = Reason::VARIANTS.iter().map(|reason| reason.name()).chain(["not_checked"]).collect();
     assert_eq!(named, known);
-    for standing in [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused] {
+    for &standing in Standing::VARIANTS {
         let name = serde_json::to_value(standing).expect("a name");
         assert_eq!(raw["standings"][name.as_str().expect("text")], standing.word());
     }

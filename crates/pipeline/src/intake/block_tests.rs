@@ -53,7 +53,7 @@ async fn a_block_that_comes_between_two_questions_is_found_and_none_that_never_c
         let contract = pinned.as_ref().map(|pin| pin.contract);
         let late = Arc::new(Late { chain: chain.clone(), withheld: AtomicUsize::new(0) });
         let endpoint = Endpoint::Relay(RelayLine(Arc::clone(&late) as Arc<dyn Relay>));
-        let options = ChainOptions { endpoint, contract, pinned, confirmations: 1 };
+        let options = ChainOptions { endpoint, contract, pinned };
         let network = network(Chain::connect(options).await.expect("connects"));
         late.withheld.store(withheld, Ordering::Release);
         let answer = block_of(&network, &proof).await;

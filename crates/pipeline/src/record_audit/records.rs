@@ -2,10 +2,10 @@
 //! thread reads pages, and one thread per core checks them.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use tokio::runtime::Handle;
 use tokio::task::JoinSet;
@@ -16,7 +16,6 @@ use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
 use crate::columns::Keys;
-use crate::crypto::Provider;
 use crate::model::{RecordState, Timestamp, clean, counted};
 use crate::store::{AuditedRecord, StoreError};
 
@@ -372,27 +371,4 @@ pub(super) fn compare_sequences(plant: &Plant, scope: &Scope, tally: &mut Tally)
 
 fn span(from: u64, to: u64) -> String {
     if from == to { from.to_string() } else { format!("{from} to {to}") }
-}
-
-const SPAN: Duration = Duration::from_millis(120);
-const PIECE_BOUND: usize = 1 << 20;
-
-/// Megabytes (10^6) a second of SM3 on `threads` threads at once.
-pub(super) fn sm3_rate(provider: &'static dyn Provider, threads: usize) -> f64 {
-    let piece = vec![0x5a; PIECE_BOUND];
-    let pieces = AtomicU64::new(0);
-    let begun = Instant::now();
-    std::thread::scope(|scope| {
-        for _ in 0..threads.max(1) {
-            scope.spawn(|| {
-                while begun.elapsed() < SPAN {
-                    std::hint::black_box(provider.sm3(&[&piece]));
-                    pieces.fetch_add(1, Ordering::Relaxed);
-                }
-            });
-        }
-    });
-    #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
-    let bytes = (pieces.into_inner() * PIECE_BOUND as u64) as f64;
-    bytes / begun.elapsed().as_secs_f64() / 1e6
 }

@@ -9,12 +9,14 @@ const MOST_TOLD: usize = 100;
 /// The longest text of a finding, characters.
 const WIDEST: usize = 400;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "lowercase")]
 pub enum FindingKind {
     Tampered,
     Missing,
     /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
+    #[strum(to_string = "false name")]
     FalseName,
     Gap,
     Unreachable,
@@ -22,13 +24,7 @@ pub enum FindingKind {
 
 impl FindingKind {
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Tampered => "tampered",
-            Self::Missing => "missing",
-            Self::FalseName => "false name",
-            Self::Gap => "gap",
-            Self::Unreachable => "unreachable",
-        }
+        self.into()
     }
 }
 
@@ -66,8 +62,6 @@ pub struct RecordAudit {
     pub records_per_second: f64,
     /// Megabytes (10^6) a second, while records were examined.
     pub megabytes_per_second: f64,
-    /// The speed of SM3 alone on as many threads, megabytes a second, measured in this run.
-    pub sm3_megabytes_per_second: f64,
     pub threads: usize,
     pub findings: Vec<RecordFinding>,
     pub findings_left_out: u64,
@@ -154,7 +148,7 @@ impl Tally {
         &self.audit.findings
     }
 
-    pub fn report(self, deep: bool, seconds: f64, reading: Reading, sm3: f64) -> RecordAudit {
+    pub fn report(self, deep: bool, seconds: f64, reading: Reading) -> RecordAudit {
         let rate = |count: u64| {
             #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
             let count = count as f64;
@@ -167,7 +161,6 @@ impl Tally {
             seconds,
             records_per_second: rate(self.audit.records),
             megabytes_per_second: rate(self.audit.bytes) / 1e6,
-            sm3_megabytes_per_second: sm3,
             threads: reading.threads,
             findings_left_out: self.found.saturating_sub(told),
             ..self.audit
@@ -188,18 +181,18 @@ mod tests {
             other.find(FindingKind::Tampered, "b", "\u{202e}x");
         }
         tally.join(other);
-        let report = tally.report(true, 1.0, Reading { seconds: 0.0, threads: 1 }, 1.0);
+        let report = tally.report(true, 1.0, Reading { seconds: 0.0, threads: 1 });
         assert_eq!((report.findings.len(), report.findings_left_out), (100, 60));
         assert_eq!((report.missing, report.tampered, report.ok), (80, 80, false));
         assert_eq!(report.worst(), Some(ErrorKind::Tampered));
         assert!(report.findings.iter().all(|finding| !finding.text.contains('\u{202e}')));
         let mut misnamed = Tally::default();
         misnamed.find(FindingKind::FalseName, "record 1", "a false topic");
-        let report = misnamed.report(false, 1.0, Reading { seconds: 1.0, threads: 1 }, 1.0);
+        let report = misnamed.report(false, 1.0, Reading { seconds: 1.0, threads: 1 });
         assert_eq!((report.ok, report.tampered, report.worst()), (false, 0, Some(ErrorKind::Refused)));
         let mut silent = Tally::default();
         silent.find(FindingKind::Unreachable, "chain", "no answer");
-        let report = silent.report(false, 1.0, Reading { seconds: 1.0, threads: 1 }, 1.0);
+        let report = silent.report(false, 1.0, Reading { seconds: 1.0, threads: 1 });
         assert_eq!((report.ok, report.worst()), (false, Some(ErrorKind::Unreachable)));
     }
 }

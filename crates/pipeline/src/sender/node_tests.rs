@@ -70,7 +70,6 @@ impl Anvil {
             endpoint: Endpoint::Node { url: url.to_owned(), roots: None },
             contract: None,
             pinned: None,
-            confirmations: 1,
         };
         let chain = Chain::connect(options).await.expect("connects");
         let eoa = EoaSecret::generate().expect("key");

@@ -1,9 +1,9 @@
 //! The chain forgets old states; what was kept of them proves the same.
 
-use authros_evidence::Nodes;
+use authros_evidence::{Nodes, Slot};
 
 use super::*;
-use crate::pipeline::chain_proofs::{Anchor, Collected, Rounds, Shown, collect, kept, slots};
+use crate::pipeline::chain_proofs::{Collected, Rounds, Shown, collect, kept, slots};
 
 /// So many states the embedded chain keeps, as many as geth.
 const STATES: u64 = 128;
@@ -30,7 +30,7 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
         owner: *owner,
         signer: *signer,
         keys: 1,
-        anchor: Anchor::Root(first.account, first.root),
+        anchor: Slot::anchor(first.account, first.root),
     }));
     assert_eq!((first.signers.len(), asked.len()), (1, 7), "anchor, account, loan and two versions of keys");
     let fetched: Nodes =
@@ -55,7 +55,7 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
         owner: crate::model::Address([9; 20]),
         signer: second.signers[0].1,
         keys: 1,
-        anchor: Anchor::Root(second.account, second.root),
+        anchor: Slot::anchor(second.account, second.root),
     }]);
     assert_eq!(kept(&line.plant, &line.network, first.block, &other).await.expect("read"), None);
     // Those of a long pause are gone already: asked for three times, then counted.

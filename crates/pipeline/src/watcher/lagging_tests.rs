@@ -84,7 +84,7 @@ async fn behind(process: &mut Process) -> (Arc<Lag>, Chain) {
         came_back: AtomicBool::new(false),
     });
     let endpoint = Endpoint::Relay(RelayLine(Arc::clone(&lag) as Arc<dyn Relay>));
-    let options = ChainOptions { endpoint, contract: None, pinned: chain.pin(), confirmations: 1 };
+    let options = ChainOptions { endpoint, contract: None, pinned: chain.pin() };
     process.network = network(Chain::connect(options).await.expect("connects"));
     restore(&process.plant, &process.network).expect("restores");
     watch_round(&process.plant, &process.network).await.expect("reads");

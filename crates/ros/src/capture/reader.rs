@@ -126,8 +126,6 @@ impl Reader {
         let caller_id = clean(&link.from.caller_id, 120);
         self.shared.notice(CaptureNotice::PublisherConnected {
             topic: Arc::clone(&self.topic.label),
-            caller_id: caller_id.clone(),
-            type_name: Arc::clone(&link.from.type_name),
             origin: Arc::clone(&link.origin),
         });
         if let Some(contradiction) =

@@ -241,7 +241,7 @@ impl State {
                 (self.unacknowledged, self.best_effort) = (u64::from(unacknowledged), unconfirmed);
             }
             Report::Left => self.left = true,
-            Report::Alive { .. } => {}
+            Report::Alive => {}
             Report::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
         }
         Ok(())

@@ -16,7 +16,7 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 use crate::ros::{Result, RosError};
 
 pub(super) use beside::metadata_record;
-pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE, attach};
+pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
 pub use reader::McapReader;
 
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";

@@ -496,6 +496,16 @@ impl Value {
         })
     }
 
+    /// A number, or a flag as one.
+    pub fn count(&self, path: &str) -> Option<usize> {
+        match self.get(path)? {
+            Self::Unsigned(number) => usize::try_from(*number).ok(),
+            Self::Integer(number) => usize::try_from(*number).ok(),
+            Self::Bool(flag) => Some(usize::from(*flag)),
+            _ => None,
+        }
+    }
+
     /// Cleans texts, writes large arrays as `uint8[58000]`, numbers that JSON lacks as text (`NaN`, `inf`), times as
     /// `{secs, nsecs}`. Only serialising the value itself is sure to keep the order of fields.
     pub fn to_json(&self) -> serde_json::Value {

@@ -141,14 +141,6 @@ const SHORTEST: usize = 512;
 /// Expands nothing and visits little: this runs for every sealed message.
 const LIMITS: Limits = Limits { elements: 0, steps: 20_000 };
 
-fn number(value: &Value, field: &str) -> Option<usize> {
-    match value.get(field)? {
-        Value::Unsigned(number) => usize::try_from(*number).ok(),
-        Value::Bool(flag) => Some(usize::from(*flag)),
-        _ => None,
-    }
-}
-
 fn data(value: &Value) -> Option<(usize, usize)> {
     match value.get("data")? {
         Value::Large { bytes, .. } => Some((bytes.start, bytes.len())),
@@ -160,9 +152,9 @@ fn image(value: &Value) -> Option<Matrix> {
     let Value::Text(encoding) = value.get("encoding")? else { return None };
     let (channels, sample) = layout(encoding)?;
     let (start, length) = data(value)?;
-    let (rows, columns, step) = (number(value, "height")?, number(value, "width")?, number(value, "step")?);
+    let (rows, columns, step) = (value.count("height")?, value.count("width")?, value.count("step")?);
     let whole = columns.checked_mul(channels * sample)? == step && rows.checked_mul(step)? == length;
-    let big_endian = number(value, "is_bigendian")? != 0 && sample > 1;
+    let big_endian = value.count("is_bigendian")? != 0 && sample > 1;
     let apart = if encoding.starts_with("bayer") { 2 } else { 1 };
     whole.then_some(Matrix { start, rows, columns, channels, sample, big_endian, apart })
 }
@@ -197,11 +189,11 @@ fn generic(encoding: &str) -> Option<(usize, usize)> {
 
 fn cloud(value: &Value) -> Option<Matrix> {
     let (start, length) = data(value)?;
-    let (rows, columns) = (number(value, "height")?, number(value, "width")?);
-    let point = number(value, "point_step")?;
+    let (rows, columns) = (value.count("height")?, value.count("width")?);
+    let point = value.count("point_step")?;
     let (channels, sample) = if point % 4 == 0 { (point / 4, 4) } else { (point, 1) };
     let whole = rows.checked_mul(columns)?.checked_mul(point)? == length;
-    let big_endian = number(value, "is_bigendian")? != 0 && sample > 1;
+    let big_endian = value.count("is_bigendian")? != 0 && sample > 1;
     whole.then_some(Matrix { start, rows, columns, channels, sample, big_endian, apart: 1 })
 }
 

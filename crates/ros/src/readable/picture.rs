@@ -3,7 +3,7 @@
 
 use std::io::Cursor;
 
-use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, count, float, floats, metres, number, shown, text};
+use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, float, floats, metres, number, shown, text};
 use crate::model::{ErrorKind, base64_text, clean};
 use crate::ros::message::{Definition, Limits, Value};
 use jpeg_encoder::{ColorType as JpegColour, Encoder as JpegEncoder, SamplingFactor};
@@ -435,10 +435,10 @@ const KINDS: [&str; 9] = ["?", "int8", "uint8", "int16", "uint16", "int32", "uin
 pub(super) fn cloud(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::headed(value);
     let parts = parts(value);
-    let (columns, rows) = (count(value, "width").unwrap_or(0), count(value, "height").unwrap_or(0));
+    let (columns, rows) = (value.count("width").unwrap_or(0), value.count("height").unwrap_or(0));
     out.line("Points", format!("{} ({columns} x {rows})", columns.saturating_mul(rows)));
     out.line("Bytes of a point", text(value, "point_step"));
-    out.line("Dense", if count(value, "is_dense") == Some(1) { "yes" } else { "no: points may be missing" });
+    out.line("Dense", if value.count("is_dense") == Some(1) { "yes" } else { "no: points may be missing" });
     let head = ["field", "offset", "type", "count"].map(String::from).to_vec();
     let cells = parts.iter().map(|part| {
         let kind = KINDS.get(part.kind).copied().unwrap_or("?").to_owned();
@@ -458,7 +458,7 @@ fn parts(value: &Value) -> Vec<Part> {
     let Some(Value::Array(items)) = value.get("fields") else { return Vec::new() };
     let part = |item: &Value| {
         let Some(Value::Text(name)) = item.get("name") else { return None };
-        let (offset, kind, many) = (count(item, "offset")?, count(item, "datatype")?, count(item, "count")?);
+        let (offset, kind, many) = (item.count("offset")?, item.count("datatype")?, item.count("count")?);
         Some(Part { name: clean(name, 40), offset, kind, count: many })
     };
     items.iter().take(64).filter_map(part).collect()
@@ -472,8 +472,8 @@ fn heights(points: &[(f64, f64, f64)]) -> Option<(f64, f64)> {
 
 /// x, y and z of a sample of the points.
 fn seen_from_above(value: &Value, body: &Body, parts: &[Part]) -> Option<Vec<(f64, f64, f64)>> {
-    let big = count(value, "is_bigendian")? != 0;
-    let step = count(value, "point_step").filter(|step| *step > 0)?;
+    let big = value.count("is_bigendian")? != 0;
+    let step = value.count("point_step").filter(|step| *step > 0)?;
     let data = bytes(value.get("data")?, body)?;
     let axis = |name: &str| parts.iter().find(|part| part.name == name && matches!(part.kind, 7 | 8));
     let (x, y, z) = (axis("x")?, axis("y")?, axis("z"));

@@ -295,7 +295,7 @@ mod tests {
         fn connected(&mut self) -> Vec<String> {
             let notices = std::mem::take(&mut self.said.notices);
             let names = notices.into_iter().filter_map(|notice| match notice {
-                CaptureNotice::PublisherConnected { caller_id, .. } => Some(caller_id),
+                CaptureNotice::PublisherConnected { origin, .. } => Some(origin.caller_id.to_string()),
                 _ => None,
             });
             names.collect()

@@ -146,8 +146,6 @@ impl Publisher {
         let told = std::mem::replace(&mut self.connected, true);
         (!told && self.gone.is_none()).then(|| CaptureNotice::PublisherConnected {
             topic: Arc::clone(&self.topic),
-            caller_id: self.caller_id(),
-            type_name: Arc::clone(&self.type_name),
             origin: Arc::clone(&self.origin),
         })
     }

@@ -28,9 +28,6 @@ const AT_ONCE: usize = 2;
 
 const LONGEST: u64 = 4 << 20;
 
-/// End of the name of a copy with the proof of its original attached: it is no recording of its own.
-pub const ATTACHED: &str = ".authros.mcap";
-
 const MOST_ENTRIES: usize = 65_536;
 
 struct Part {
@@ -167,10 +164,7 @@ impl FolderReader {
             let end = name.strip_suffix(".zstd").unwrap_or(name).rsplit_once('.').map(|(_, end)| end);
             matches!(end, Some("db3" | "mcap"))
         };
-        let mut others: Vec<String> = names
-            .filter(is_one)
-            .filter(|name| !name.ends_with(ATTACHED) && !self.metadata.files.contains(name))
-            .collect();
+        let mut others: Vec<String> = names.filter(is_one).filter(|name| !self.metadata.files.contains(name)).collect();
         others.sort();
         for name in others {
             self.findings.note(0, &format!("{name} is in the folder, but not in {METADATA}: it was not read"));

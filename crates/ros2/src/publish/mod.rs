@@ -171,7 +171,7 @@ impl<'a, W: Write> Child<'a, W> {
                     return Err(Ros2Error::Threads);
                 }
                 self.tell();
-                send(self.out, &Report::Alive { participants: self.audience.participants() }, &[])?;
+                send(self.out, &Report::Alive, &[])?;
                 alive = Some(Instant::now());
             }
         }
@@ -389,10 +389,6 @@ impl Audience {
         self.participants.keys().copied()
     }
 
-    pub fn participants(&self) -> u32 {
-        u32::try_from(self.participants.len()).unwrap_or(u32::MAX)
-    }
-
     /// Whether everybody present has announced something, and nobody was found for a while.
     pub fn is_settled(&self, after: Duration) -> bool {
         self.participants.values().all(|has_told| *has_told) && self.found.elapsed() >= after
@@ -539,7 +535,7 @@ mod tests {
         audience.came([7; 12], false);
         assert!(audience.is_settled(Duration::ZERO), "it is announced again and again");
         audience.came([1; 12], false);
-        assert_eq!((audience.is_settled(Duration::ZERO), audience.participants()), (true, 1), "our own");
+        assert_eq!((audience.is_settled(Duration::ZERO), audience.present().count()), (true, 1), "our own");
     }
 }
 

@@ -130,8 +130,6 @@ pub struct FollowWishes {
     pub tags: Vec<(String, String)>,
     /// End when the recording is closed and its proofs are written.
     pub until_closed: bool,
-    /// Also write a copy of each file with its proof as an attachment.
-    pub attach: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -190,7 +190,6 @@ pub struct FollowedFile {
     pub record: Option<String>,
     /// The bundle beside it, once written.
     pub proof: Option<String>,
-    pub attached: Option<String>,
     /// What went wrong or is still missing.
     pub notes: Vec<String>,
 }

@@ -11,7 +11,6 @@ from launch_ros.actions import Node
 
 OPTIONS = {
     "until_closed": ("--until-closed", "end when the recording is closed and its proofs are written"),
-    "attach": ("--attach", "also write a copy of each file with its proof attached"),
 }
 
 

@@ -88,16 +88,16 @@ impl Connection {
     }
 
     async fn reach_chain(&self) -> Result<Chain, Lost> {
-        let (pinned, config) = (self.pin()?, &self.parts.config);
-        let (contract, confirmations) = (config.contract, config.confirmations);
+        let config = &self.parts.config;
+        let (pinned, contract) = (self.pin()?, config.contract);
         if let Some(remote) = &self.remote {
-            return remote.chain((&self.parts.home, &self.parts.owners), pinned, contract, confirmations).await;
+            return remote.chain((&self.parts.home, &self.parts.owners), pinned, contract).await;
         }
         let endpoint = match &config.chain_url {
             Some(url) => Endpoint::Node { url: url.clone(), roots: config.chain_roots.clone() },
             None => Endpoint::Embedded { directory: self.parts.home.chain(), consensus: config.consensus },
         };
-        Ok(Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?)
+        Ok(Chain::connect(ChainOptions { endpoint, contract, pinned }).await?)
     }
 
     pub async fn use_network(&self, chain: Chain, pin: &Pin) -> Result<(), Lost> {

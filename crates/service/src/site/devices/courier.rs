@@ -248,10 +248,11 @@ impl Enrolments {
             epoch,
             topic_id: owner.topic_id(&name),
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
+            filters: Vec::new(),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
         let plant = &self.parts.plant;
-        statement::put(plant, &speaker, statement, |row| plant.ledger.records.append(vec![row]))?;
+        statement::append(plant, &speaker, statement)?;
         self.sealed.send_replace(());
         self.parts.hub.stored.notify_waiters();
         Ok(())

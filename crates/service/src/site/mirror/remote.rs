@@ -119,7 +119,6 @@ impl Remote {
         (home, owners): (&Home, &Owners),
         pinned: Option<Pin>,
         contract: Option<Address>,
-        confirmations: u64,
     ) -> Result<Chain, Lost> {
         let named = match &pinned {
             Some(pin) => NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract },
@@ -129,7 +128,7 @@ impl Remote {
         self.meet(&line, home, owners).await.map_err(Failure::from)?;
         let contract = Some(contract.unwrap_or(named.contract));
         let endpoint = Endpoint::Relay(RelayLine(line as Arc<dyn Relay>));
-        let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
+        let chain = Chain::connect(ChainOptions { endpoint, contract, pinned }).await?;
         if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
             let what = "forwards a different chain than its own; do not continue, ask its operator to explain";
             return Err(refused(format!("the gateway {} {what}", self.address())).into());

@@ -8,7 +8,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::ros::rosbag2::{ATTACHED, METADATA, has_journal};
+use crate::ros::rosbag2::{METADATA, has_journal};
 
 const MOST_ENTRIES: usize = 16 * 1024;
 
@@ -87,7 +87,7 @@ fn gather(folder: &Path, deeper: usize, found: &mut Found) -> std::io::Result<()
 
 fn is_recording(name: &str) -> bool {
     let is_one = is_database(Path::new(name)) || Path::new(name).extension().is_some_and(|end| end == "mcap");
-    is_one && !name.ends_with(ATTACHED) && !name.starts_with('.')
+    is_one && !name.starts_with('.')
 }
 
 /// By its name.
@@ -279,7 +279,7 @@ mod tests {
         let mut folder = Folder::new(path.clone());
         assert!(matches!(folder.look(), Look::NotYet));
         fs::create_dir_all(path.join("part/deep/deeper")).expect("created");
-        let names = ["run_1.mcap", "run_0.mcap", "run_0.authros.mcap", ".hidden.mcap", "run_2.db3", "part/deep/x.mcap"];
+        let names = ["run_1.mcap", "run_0.mcap", ".hidden.mcap", "run_2.db3", "part/deep/x.mcap"];
         names.iter().for_each(|name| fs::write(path.join(name), "").expect("written"));
         fs::write(path.join("part/deep/deeper/y.mcap"), "").expect("written");
         fs::write(path.join("run_3.db3.zstd"), "").expect("written");

@@ -203,8 +203,8 @@ impl Recordings {
 
 fn with_proofs(mut view: FollowView, waiting: &[Due], proven: &mut BTreeMap<String, Proven>) -> FollowView {
     for file in &mut view.files {
-        if let Some(Proven { record, proof, attached, notes }) = proven.remove(&file.file) {
-            (file.record, file.proof, file.attached) = (record, proof, attached);
+        if let Some(Proven { record, proof, notes }) = proven.remove(&file.file) {
+            (file.record, file.proof) = (record, proof);
             file.notes.extend(notes);
         }
         if waiting.iter().any(|due| due.name == file.file) {

@@ -11,15 +11,12 @@ use super::super::Recordings;
 use super::super::import::RECORDING;
 use super::super::standings::at;
 use super::Follower;
-use super::folder::is_database;
 use super::place::FileKey;
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
 use crate::pipeline::reader::Reader;
-use crate::ros::mcap;
 use crate::ros::recording::BESIDE;
-use crate::ros::rosbag2::ATTACHED;
 use crate::service::command::EvidenceWishes;
 use crate::service::failure::input;
 use crate::service::reply::{Failure, Result};
@@ -28,8 +25,6 @@ use crate::store::RecordRow;
 use crate::store::notes::{FilePlace, FileStanding};
 
 const PROOF: &str = ".authros";
-
-const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
 
 /// Written as soon as the statement's record is verified.
 #[derive(Debug, Clone)]
@@ -41,14 +36,12 @@ pub(super) struct Due {
     place: FilePlace,
     stated_at: Timestamp,
     statement: Digest,
-    attach: bool,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct Proven {
     pub record: Option<String>,
     pub proof: Option<String>,
-    pub attached: Option<String>,
     pub notes: Vec<String>,
 }
 
@@ -63,7 +56,6 @@ impl Follower<'_> {
             place: place.clone(),
             stated_at,
             statement,
-            attach: self.wishes.attach && place.closed && !is_database(path),
         };
         // Nobody writes proofs once following has ended.
         drop(self.due.send(due));
@@ -121,13 +113,12 @@ impl Recordings {
         }
         one.proof = Some(clean(&target.display().to_string(), 300));
         let due = due.clone();
-        let attached = blocking(self, move |recordings| recordings.finish_proof(&due, &target, row.digest)).await?;
-        one.attached = attached.map(|path| clean(&path.display().to_string(), 300));
+        blocking(self, move |recordings| recordings.finish_proof(&due, &target, row.digest)).await?;
         Ok(Some(one))
     }
 
-    /// Checks that the bundle is the file's, attaches it, and notes that.
-    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<Option<PathBuf>> {
+    /// Checks that the bundle is the file's, and notes that.
+    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<()> {
         let is_its_own =
             Bundle::read(target, self.parts.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
         if !is_its_own {
@@ -137,10 +128,8 @@ impl Recordings {
                 target.display()
             )));
         }
-        let attached = due.attach.then(|| attach(&due.path, target, due.stated_at)).transpose()?;
         let done = FilePlace { standing: FileStanding::Proven, ..due.place.clone() };
-        self.parts.plant.ledger.notes.write(&due.key.note, &done)?;
-        Ok(attached)
+        Ok(self.parts.plant.ledger.notes.write(&due.key.note, &done)?)
     }
 }
 
@@ -148,36 +137,6 @@ pub(super) fn beside(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(PROOF);
     name.into()
-}
-
-/// The copy of a file with its proof attached.
-pub(super) fn copy_of(path: &Path) -> PathBuf {
-    let mut name = path.with_extension("").into_os_string();
-    name.push(ATTACHED);
-    name.into()
-}
-
-fn attach(path: &Path, proof: &Path, logged_at: Timestamp) -> Result<PathBuf> {
-    let copy = copy_of(path);
-    if copy.exists() {
-        return Ok(copy);
-    }
-    let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", copy.display()));
-    let data = std::fs::read(proof).map_err(failed)?;
-    let (draft, out) = super::super::export::Draft::begin(&copy)?;
-    let title = proof.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let source = std::fs::File::open(path).map_err(failed)?;
-    let attached = mcap::AttachedFile {
-        logged_at,
-        created_at: Timestamp::now().0,
-        name: title.into(),
-        media_type: MEDIA_TYPE.into(),
-        data: &data,
-        checksum: 0,
-    };
-    mcap::attach(source, out, &attached)?;
-    draft.place()?;
-    Ok(copy)
 }
 
 fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>> {

@@ -407,16 +407,10 @@ fn settled<'a>(
     let messages = place.stored.saturating_sub(1);
     (view.bytes, view.found, view.already) = (place.at, messages, messages);
     (view.chunks, view.digest, view.is_closed) = (place.chunks, place.digest, place.closed);
-    let (proof, copy) = (proof::beside(path), proof::copy_of(path));
-    let is_copied = follower.wishes.attach && !folder::is_database(path);
-    let is_missing = place.standing == FileStanding::Stated || is_copied && !copy.exists();
-    if !is_missing {
-        let shown = |path: PathBuf| Some(clean(&path.display().to_string(), 300));
-        view.proof = shown(proof);
-        view.attached = shown(copy).filter(|_| is_copied);
-    }
-    if is_missing {
+    if place.standing == FileStanding::Stated {
         follower.prove(&key, &place, path);
+    } else {
+        view.proof = Some(clean(&proof::beside(path).display().to_string(), 300));
     }
     Entry::ended(path, view, Some(place))
 }
