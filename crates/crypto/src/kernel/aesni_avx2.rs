@@ -10,9 +10,9 @@ use std::arch::x86_64::{
 
 use zeroize::Zeroizing;
 
-use super::Counter;
-use super::avx2::{GROUP, Group, add_group, counters, diffused, shuffled, sm4_avx2, without_first};
+use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, shuffled, sm4, without_first};
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, product, round_keys};
+use super::{Counter, FIRST};
 
 /// An affine map as two sums: one for the lower half of a byte, one for the upper.
 struct Halves {
@@ -73,4 +73,4 @@ fn substituted(bytes: __m256i) -> __m256i {
     shuffled(bytes, _mm_setr_epi8(0, 13, 10, 7, 4, 1, 14, 11, 8, 5, 2, 15, 12, 9, 6, 3))
 }
 
-sm4_avx2!("avx2,aes");
+sm4!("avx2,aes", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);

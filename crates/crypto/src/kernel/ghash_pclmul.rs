@@ -96,26 +96,27 @@ pub(super) fn powers(key: u128, count: usize) -> [u128; 16] {
     powers
 }
 
+/// Adds up to 16 blocks, by as many of the last powers, and reduces once.
+#[inline]
+#[target_feature(enable = "sse2,ssse3,pclmulqdq")]
+fn added(mut hash: __m128i, blocks: &[[u8; 16]], powers: &[u128]) -> __m128i {
+    let mut sum = Sum::zero();
+    for (block, power) in blocks.iter().zip(powers) {
+        sum.add(_mm_xor_si128(turned(block), hash), halves(*power));
+        hash = _mm_setzero_si128();
+    }
+    sum.reduced()
+}
+
 #[target_feature(enable = "sse2,ssse3,pclmulqdq")]
 pub(super) fn update(powers: &[u128; 16], hash: u128, blocks: &[[u8; 16]]) -> u128 {
-    let zero = _mm_setzero_si128();
-    let mut hash = halves(hash);
     let (batches, rest) = blocks.as_chunks::<16>();
+    let mut hash = halves(hash);
     for batch in batches {
-        let (mut sum, mut carried) = (Sum::zero(), hash);
-        for (block, power) in batch.iter().zip(powers) {
-            sum.add(_mm_xor_si128(turned(block), carried), halves(*power));
-            carried = zero;
-        }
-        hash = sum.reduced();
+        hash = added(hash, batch, powers);
     }
     if !rest.is_empty() {
-        let (mut sum, mut carried) = (Sum::zero(), hash);
-        for (block, power) in rest.iter().zip(&powers[16 - rest.len()..]) {
-            sum.add(_mm_xor_si128(turned(block), carried), halves(*power));
-            carried = zero;
-        }
-        hash = sum.reduced();
+        hash = added(hash, rest, &powers[16 - rest.len()..]);
     }
     number(hash)
 }

@@ -152,11 +152,17 @@ impl Jacobian {
         if difference == Element::ZERO {
             return self.meeting(slope);
         }
+        Self::third((self.x, self.y), difference, slope, self.z)
+    }
+
+    /// The sum of two points with a common denominator `z`, by the first one's x and y, and how far the other's are away.
+    #[inline(always)]
+    pub fn third((own_x, own_y): (Element, Element), difference: Element, slope: Element, z: Element) -> Self {
         let square = difference.square();
         let cube = square * difference;
-        let middle = self.x * square;
+        let middle = own_x * square;
         let x = slope.square() - cube - middle.double();
-        Self { x, y: slope * (middle - x) - self.y * cube, z: self.z * difference }
+        Self { x, y: slope * (middle - x) - own_y * cube, z: z * difference }
     }
 
     /// The sum with any point, all special cases handled.
@@ -182,11 +188,7 @@ impl Jacobian {
         if difference == Element::ZERO {
             return self.meeting(slope);
         }
-        let square = difference.square();
-        let cube = square * difference;
-        let middle = own_x * square;
-        let x = slope.square() - cube - middle.double();
-        Self { x, y: slope * (middle - x) - own_y * cube, z: self.z * other.z * difference }
+        Self::third((own_x, own_y), difference, slope, self.z * other.z)
     }
 
     /// The sum with a point of the same z but another x, and this point with the sum's z (Meloni 2007).
