@@ -2,11 +2,7 @@
 //! are nibble look-ups within a register.
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
-use std::arch::x86_64::{
-    __m128i, __m256i, _mm_aesenclast_si128, _mm_set_epi64x, _mm_setr_epi8, _mm_setzero_si128, _mm256_and_si256,
-    _mm256_castsi256_si128, _mm256_cvtsi256_si32, _mm256_extracti128_si256, _mm256_set_m128i, _mm256_set1_epi8,
-    _mm256_set1_epi32, _mm256_setzero_si256, _mm256_shuffle_epi8, _mm256_srli_epi16, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 

@@ -3,12 +3,7 @@
 //! arrays of 32 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
-use std::arch::x86_64::{
-    __m128i, __m256i, _mm_setr_epi8, _mm256_add_epi32, _mm256_andnot_si256, _mm256_broadcastsi128_si256,
-    _mm256_loadu_si256, _mm256_or_si256, _mm256_set1_epi32, _mm256_setr_epi32, _mm256_shuffle_epi8, _mm256_slli_epi32,
-    _mm256_srli_epi32, _mm256_storeu_si256, _mm256_unpackhi_epi32, _mm256_unpackhi_epi64, _mm256_unpacklo_epi32,
-    _mm256_unpacklo_epi64, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use super::Counter;
 

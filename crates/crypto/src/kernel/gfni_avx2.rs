@@ -1,10 +1,7 @@
 //! SM4 with GFNI and AVX2: the S-box is two instructions.
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
-use std::arch::x86_64::{
-    __m256i, _mm256_cvtsi256_si32, _mm256_gf2p8affine_epi64_epi8, _mm256_gf2p8affineinv_epi64_epi8, _mm256_set1_epi32,
-    _mm256_set1_epi64x, _mm256_setzero_si256,
-};
+use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 

@@ -3,13 +3,7 @@
 //! access goes through references to whole arrays of 64 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
-use std::arch::x86_64::{
-    __m512i, _mm_setr_epi32, _mm512_add_epi32, _mm512_broadcast_i32x4, _mm512_cvtsi512_si32,
-    _mm512_gf2p8affine_epi64_epi8, _mm512_gf2p8affineinv_epi64_epi8, _mm512_loadu_si512, _mm512_mask_set1_epi32,
-    _mm512_rol_epi32, _mm512_set1_epi32, _mm512_set1_epi64, _mm512_setr_epi32, _mm512_setzero_si512,
-    _mm512_shuffle_epi8, _mm512_storeu_si512, _mm512_ternarylogic_epi32, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64,
-    _mm512_unpacklo_epi32, _mm512_unpacklo_epi64, _mm512_xor_si512,
-};
+use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 

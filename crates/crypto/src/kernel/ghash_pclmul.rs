@@ -3,10 +3,7 @@
 //! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole blocks.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
-use std::arch::x86_64::{
-    __m128i, _mm_bslli_si128, _mm_bsrli_si128, _mm_clmulepi64_si128, _mm_cvtsi128_si64, _mm_loadu_si128,
-    _mm_set_epi64x, _mm_setzero_si128, _mm_shuffle_epi8, _mm_shuffle_epi32, _mm_unpackhi_epi64, _mm_xor_si128,
-};
+use std::arch::x86_64::*;
 
 /// The upper half of x^128 + x^127 + x^126 + x^121 + 1, without its first term.
 const POLYNOMIAL: u64 = 0xc200_0000_0000_0000;

@@ -2,6 +2,7 @@
 //! the same time for all secrets. The only `unsafe` is here and below: functions that need processor features are
 //! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
+#![allow(clippy::wildcard_imports, reason = "instructions of the processor, named like nothing else")]
 
 use std::sync::OnceLock;
 

@@ -3,10 +3,7 @@
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
 
-use std::arch::x86_64::{
-    __m256i, _mm_cvtsi32_si128, _mm256_add_epi32, _mm256_and_si256, _mm256_loadu_si256, _mm256_or_si256,
-    _mm256_set1_epi32, _mm256_setzero_si256, _mm256_sll_epi32, _mm256_srl_epi32, _mm256_storeu_si256, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use super::sm3::{BLOCK, CONSTANTS};
 use super::sm3_lanes::States;

@@ -3,12 +3,7 @@
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
 
-use std::arch::x86_64::{
-    __m512i, _mm_set_epi64x, _mm512_add_epi32, _mm512_broadcast_i32x4, _mm512_loadu_si512, _mm512_rol_epi32,
-    _mm512_set1_epi32, _mm512_setzero_si512, _mm512_shuffle_epi8, _mm512_shuffle_i32x4, _mm512_storeu_si512,
-    _mm512_ternarylogic_epi32, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64, _mm512_unpacklo_epi32,
-    _mm512_unpacklo_epi64, _mm512_xor_si512,
-};
+use std::arch::x86_64::*;
 
 use super::sm3::{BLOCK, CONSTANTS};
 use super::sm3_lanes::States;
@@ -112,14 +107,7 @@ fn chosen(round: usize, [a, b, c]: [__m512i; 3], [e, f, g]: [__m512i; 3]) -> (__
     (_mm512_ternarylogic_epi32::<MAJORITY>(a, b, c), _mm512_ternarylogic_epi32::<CHOICE>(e, f, g))
 }
 
-sm3!(
-    "avx512f,avx512bw",
-    __m512i,
-    _mm512_setzero_si512,
-    _mm512_set1_epi32,
-    _mm512_add_epi32,
-    _mm512_xor_si512
-);
+sm3!("avx512f,avx512bw", __m512i, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_add_epi32, _mm512_xor_si512);
 
 /// Compresses groups of 16 blocks of one message into its state.
 #[target_feature(enable = "avx512f,avx512bw,bmi1,bmi2")]
