@@ -374,9 +374,7 @@ impl Connection {
             None => Ok(()),
         }
     }
-}
 
-impl Connection {
     async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
         match self.next(deadline, None).await? {
             Next::Frame(kind, payload) if kind == wanted => Ok(payload),

@@ -6,7 +6,7 @@ use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 
-use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, shuffled, sm4, without_first};
+use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, shuffled, sm4_vectors, without_first};
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, product, round_keys};
 use super::{Counter, FIRST};
 
@@ -69,4 +69,4 @@ fn substituted(bytes: __m256i) -> __m256i {
     shuffled(bytes, _mm_setr_epi8(0, 13, 10, 7, 4, 1, 14, 11, 8, 5, 2, 15, 12, 9, 6, 3))
 }
 
-sm4!("avx2,aes", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);
+sm4_vectors!("avx2,aes", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);

@@ -96,7 +96,7 @@ fn add(vector: __m256i, part: &mut [u8; 32]) {
 
 /// Defines `expand`, `apply` and `first` of a kernel by the functions of its file (`substituted` is its S-box), the
 /// blocks of a group, and three instructions of its vectors.
-macro_rules! sm4 {
+macro_rules! sm4_vectors {
     ($features:literal, $blocks:literal, $zero:ident, $broadcast:ident, $lowest:ident) => {
         #[inline]
         #[target_feature(enable = $features)]
@@ -170,4 +170,4 @@ macro_rules! sm4 {
         }
     };
 }
-pub(super) use sm4;
+pub(super) use sm4_vectors;

@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 
-use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, sm4, without_first};
+use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, sm4_vectors, without_first};
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, round_keys};
 use super::{Counter, FIRST};
 
@@ -18,4 +18,4 @@ fn substituted(bytes: __m256i) -> __m256i {
     _mm256_gf2p8affineinv_epi64_epi8::<{ CONSTANT_AFTER as i32 }>(mapped, after)
 }
 
-sm4!("avx2,gfni", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);
+sm4_vectors!("avx2,gfni", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);

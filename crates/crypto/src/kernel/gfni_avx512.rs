@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 
-use super::avx2::sm4;
+use super::avx2::sm4_vectors;
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, round_keys};
 use super::{Counter, FIRST};
 
@@ -103,4 +103,4 @@ fn without_first(group: &mut Group) {
     }
 }
 
-sm4!("avx512f,avx512bw,gfni", 16, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_cvtsi512_si32);
+sm4_vectors!("avx512f,avx512bw,gfni", 16, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_cvtsi512_si32);

@@ -162,14 +162,14 @@ pub(super) struct Sm4 {
 macro_rules! by_kernel {
     ($kernel:expr, $function:ident($($argument:expr),+)) => {
         match $kernel.0 {
+            #[cfg(target_arch = "x86_64")]
             // SAFETY: `$kernel` exists, so its features do.
-            #[cfg(target_arch = "x86_64")]
             Kernel::GfniAvx512 => unsafe { gfni_avx512::$function($($argument),+) },
-            // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
+            // SAFETY: as above.
             Kernel::GfniAvx2 => unsafe { gfni_avx2::$function($($argument),+) },
-            // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
+            // SAFETY: as above.
             Kernel::AesniAvx2 => unsafe { aesni_avx2::$function($($argument),+) },
             _ => portable::$function($($argument),+),
         }

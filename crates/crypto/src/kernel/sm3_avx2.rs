@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 
 use super::sm3::{BLOCK, CONSTANTS};
 use super::sm3_lanes::States;
-use super::sm3_single::{self, MIXED, Rows, sm3};
+use super::sm3_single::{self, MIXED, Rows, sm3_vectors};
 
 pub(super) const LANES: usize = 8;
 
@@ -65,7 +65,7 @@ fn chosen(round: usize, [a, b, c]: [__m256i; 3], [e, f, g]: [__m256i; 3]) -> (__
     (majority, choice)
 }
 
-sm3!("avx2", __m256i, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_add_epi32, _mm256_xor_si256);
+sm3_vectors!("avx2", __m256i, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_add_epi32, _mm256_xor_si256);
 
 /// Compresses groups of 8 blocks of one message into its state.
 #[target_feature(enable = "avx2,bmi1,bmi2")]

@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 
 use super::sm3::{BLOCK, CONSTANTS};
 use super::sm3_lanes::States;
-use super::sm3_single::{self, MIXED, Rows, sm3};
+use super::sm3_single::{self, MIXED, Rows, sm3_vectors};
 
 pub(super) const LANES: usize = 16;
 /// Functions of three operands: the XOR, the majority, and the choice (the second where the first is set, else the
@@ -107,7 +107,7 @@ fn chosen(round: usize, [a, b, c]: [__m512i; 3], [e, f, g]: [__m512i; 3]) -> (__
     (_mm512_ternarylogic_epi32::<MAJORITY>(a, b, c), _mm512_ternarylogic_epi32::<CHOICE>(e, f, g))
 }
 
-sm3!("avx512f,avx512bw", __m512i, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_add_epi32, _mm512_xor_si512);
+sm3_vectors!("avx512f,avx512bw", __m512i, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_add_epi32, _mm512_xor_si512);
 
 /// Compresses groups of 16 blocks of one message into its state.
 #[target_feature(enable = "avx512f,avx512bw,bmi1,bmi2")]

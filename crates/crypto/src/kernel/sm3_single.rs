@@ -112,7 +112,7 @@ fn rounds<const LANES: usize>(
 
 /// What both vector kernels do in the same way, by the functions of their files: `load`, `store`, `words`, `turned`,
 /// `sum` and `chosen`, and four instructions of their vectors.
-macro_rules! sm3 {
+macro_rules! sm3_vectors {
     ($features:literal, $vector:ident, $zero:ident, $broadcast:ident, $add:ident, $xor:ident) => {
         /// The word that follows 16 words, given `w(0)`, the oldest, to `w(15)` (5.3.2).
         #[inline]
@@ -173,4 +173,4 @@ macro_rules! sm3 {
         }
     };
 }
-pub(super) use sm3;
+pub(super) use sm3_vectors;

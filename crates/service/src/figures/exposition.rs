@@ -183,7 +183,7 @@ fn cache(text: &mut Text, figures: &Figures) {
 }
 
 fn chain(text: &mut Text, figures: &Figures) {
-    fn by((account, _): &(String, &LaneState)) -> [(&'static str, &str); 1] {
+    fn by<'a>((account, _): &'a (String, &LaneState)) -> [(&'static str, &'a str); 1] {
         [("account", account)]
     }
     if let Some((number, time)) = figures.block {

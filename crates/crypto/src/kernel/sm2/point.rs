@@ -1,5 +1,6 @@
 //! Points of the SM2 curve y^2 = x^3 - 3 x + b in affine and in Jacobian coordinates. Additions here take a time that
-//! depends on their input: they get only public points and numbers, except `double`, which has no special cases.
+//! depends on their input: they get only public points and numbers, except `double` and `third`, which have no special
+//! cases.
 
 use zeroize::Zeroize;
 
@@ -234,6 +235,27 @@ pub(super) fn normalized(points: &[Jacobian]) -> Vec<Affine> {
         *out = Affine { x: point.x * square, y: point.y * (square * own) };
     }
     out
+}
+
+/// For each i below `places`: 1 to `most` times 2^(`apart` i) times the point, one row after the other.
+pub(super) fn rows(point: &Affine, places: usize, apart: usize, most: usize) -> Vec<Affine> {
+    let mut first = Vec::with_capacity(places);
+    let mut base = Jacobian::from(*point);
+    for _ in 0..places {
+        first.push(base);
+        for _ in 0..apart {
+            base = base.double();
+        }
+    }
+    let mut all = Vec::with_capacity(places * most);
+    for base in normalized(&first) {
+        let mut multiple = Jacobian::from(base);
+        for _ in 0..most {
+            all.push(multiple);
+            multiple = multiple.plus_affine(&base);
+        }
+    }
+    normalized(&all)
 }
 
 /// Whether `number` is greater than `limit`; both are public.

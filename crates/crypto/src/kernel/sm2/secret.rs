@@ -8,8 +8,7 @@ use zeroize::{Zeroize as _, Zeroizing};
 use super::complete::{self, Point};
 use super::field::Element;
 use super::limbs;
-use super::point::{Affine, GENERATOR, Jacobian};
-use super::rows::rows;
+use super::point::{Affine, GENERATOR, Jacobian, rows};
 use super::scalar::{Digit, Scalar, digit, digits};
 
 /// Bits per digit of the generator's factor.
