@@ -398,11 +398,7 @@ pub fn open(
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
-fn unseal(
-    provider: &dyn Provider,
-    keys: &RecordKeys,
-    parts: &Parts<'_>,
-) -> Result<(Head, Vec<u8>)> {
+fn unseal(provider: &dyn Provider, keys: &RecordKeys, parts: &Parts<'_>) -> Result<(Head, Vec<u8>)> {
     let tampered = |what| move |_| CryptoError::Tampered(what);
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)

@@ -196,7 +196,9 @@ fn chain(text: &mut Text, figures: &Figures) {
     let help = "Transactions of a lane that are not in a block yet.";
     text.family("authros_lane_open_transactions", "gauge", help, lanes, |row| (by(row), row.1.open));
     let help = "Age of a lane's oldest open transaction; 0 if there is none.";
-    text.family("authros_lane_oldest_age_seconds", "gauge", help, lanes, |row| (by(row), row.1.oldest.map_or(0.0, age)));
+    text.family("authros_lane_oldest_age_seconds", "gauge", help, lanes, |row| {
+        (by(row), row.1.oldest.map_or(0.0, age))
+    });
     let help = "1 if a lane is stuck until somebody intervenes; otherwise 0.";
     text.family("authros_lane_paused", "gauge", help, lanes, |row| (by(row), u8::from(row.1.paused.is_some())));
 }

@@ -10,7 +10,8 @@ use crate::account::{head, message};
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::compression::pack;
 use authros_crypto::{
-    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, SmSecret, TopicKey, open, seal,
+    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, SmSecret, TopicKey, open,
+    seal,
 };
 use authros_model::{
     Address, Domain, FilterId, Head, PublicKey, RecordKind, RecorderPrefix, Signature, Timestamp, TopicId,
