@@ -235,34 +235,26 @@ impl Shape {
 
 fn filter_bytes(kind: u8, back: usize, now: &[u8], above: &[u8], out: &mut [u8]) {
     match kind {
-        ABOVE => {
-            out.iter_mut().zip(now.iter().zip(above)).for_each(|(out, (now, above))| *out = now.wrapping_sub(*above))
-        }
-        LEFT => {
-            let begin = back.min(now.len());
-            out[..begin].copy_from_slice(&now[..begin]);
-            let pairs = now[begin..].iter().zip(now);
-            out[begin..].iter_mut().zip(pairs).for_each(|(out, (now, left))| *out = now.wrapping_sub(*left));
-        }
-        AVERAGE | PAETH => {
-            let begin = back.min(now.len());
-            for at in 0..begin {
-                out[at] = now[at].wrapping_sub(if kind == PAETH { above[at] } else { above[at] / 2 });
-            }
-            let around = now.iter().zip(above.iter().zip(&above[begin..]));
-            let pairs = now[begin..].iter().zip(around);
-            if kind == PAETH {
-                out[begin..].iter_mut().zip(pairs).for_each(|(out, (now, (left, (corner, above))))| {
-                    *out = now.wrapping_sub(paeth(*left, *above, *corner));
-                });
-            } else {
-                out[begin..].iter_mut().zip(pairs).for_each(|(out, (now, (left, (_, above))))| {
-                    *out = now.wrapping_sub(left.midpoint(*above));
-                });
-            }
-        }
+        ABOVE => filter_by(back, now, above, out, |_, above, _| above),
+        LEFT => filter_by(back, now, above, out, |left, _, _| left),
+        AVERAGE => filter_by(back, now, above, out, |left, above, _| left.midpoint(above)),
+        PAETH => filter_by(back, now, above, out, paeth),
         _ => out.copy_from_slice(now),
     }
+}
+
+/// Subtracts what is predicted from the bytes to the left, above, and above on the left.
+#[inline]
+fn filter_by(back: usize, now: &[u8], above: &[u8], out: &mut [u8], predicted: impl Fn(u8, u8, u8) -> u8) {
+    let begin = back.min(now.len());
+    for at in 0..begin {
+        out[at] = now[at].wrapping_sub(predicted(0, above[at], 0));
+    }
+    let around = now.iter().zip(above.iter().zip(&above[begin..]));
+    let pairs = now[begin..].iter().zip(around);
+    out[begin..].iter_mut().zip(pairs).for_each(|(out, (now, (left, (corner, above))))| {
+        *out = now.wrapping_sub(predicted(*left, *above, *corner));
+    });
 }
 
 /// The neighbour closest to left + above - corner (Paeth).
@@ -347,28 +339,22 @@ fn restore_bytes(kind: u8, back: usize, row: &mut [u8], above: &[u8]) -> Option<
     match kind {
         PLAIN => {}
         ABOVE => row.iter_mut().zip(above).for_each(|(byte, above)| *byte = byte.wrapping_add(*above)),
-        LEFT => {
-            for at in back..row.len() {
-                row[at] = row[at].wrapping_add(row[at - back]);
-            }
-        }
-        AVERAGE => {
-            for at in 0..row.len() {
-                let left = at.checked_sub(back).map_or(0, |left| row[left]);
-                row[at] = row[at].wrapping_add(left.midpoint(above[at]));
-            }
-        }
-        PAETH => {
-            for at in 0..back {
-                row[at] = row[at].wrapping_add(above[at]);
-            }
-            for at in back..row.len() {
-                row[at] = row[at].wrapping_add(paeth(row[at - back], above[at], above[at - back]));
-            }
-        }
+        LEFT => restore_by(back, row, above, |left, _, _| left),
+        AVERAGE => restore_by(back, row, above, |left, above, _| left.midpoint(above)),
+        PAETH => restore_by(back, row, above, paeth),
         _ => return None,
     }
     Some(())
+}
+
+#[inline]
+fn restore_by(back: usize, row: &mut [u8], above: &[u8], predicted: impl Fn(u8, u8, u8) -> u8) {
+    for at in 0..back {
+        row[at] = row[at].wrapping_add(predicted(0, above[at], 0));
+    }
+    for at in back..row.len() {
+        row[at] = row[at].wrapping_add(predicted(row[at - back], above[at], above[at - back]));
+    }
 }
 
 /// The most numbers in one pixel or point.

@@ -24,21 +24,20 @@ pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -
 
 /// `N` bytes of HKDF-SM3; that `N` is allowed is checked at compile time.
 pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) -> [u8; N] {
-    const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
-    let mut out = [0; N];
-    if hkdf_sm3(key_material, salt, info.as_bytes(), &mut out).is_err() {
-        unreachable!("the length was checked at compile time");
-    }
-    out
+    filled(&Hkdf::new(Some(salt), key_material), info)
 }
 
 /// Like [`derived`], from key material and salt already extracted (RFC 5869, expand only).
 pub fn expanded<const N: usize>(extracted: &[u8; 32], info: &Info) -> [u8; N] {
+    let Ok(hkdf) = Hkdf::from_prk(extracted) else { unreachable!("it has the length of a hash") };
+    filled(&hkdf, info)
+}
+
+fn filled<const N: usize>(hkdf: &Hkdf<Sm3>, info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];
-    let expanded = Hkdf::<Sm3>::from_prk(extracted).is_ok_and(|hkdf| hkdf.expand(info.as_bytes(), &mut out).is_ok());
-    if !expanded {
-        unreachable!("both lengths were checked at compile time");
+    if hkdf.expand(info.as_bytes(), &mut out).is_err() {
+        unreachable!("the length was checked at compile time");
     }
     out
 }
@@ -145,7 +144,7 @@ pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result
 }
 
 /// A key of SM4 and its one nonce.
-pub(super) fn key_and_nonce(key_material: &[u8], salt: &[u8], info: &Info) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
+pub fn key_and_nonce(key_material: &[u8], salt: &[u8], info: &Info) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     let bytes = Zeroizing::new(derived::<28>(key_material, salt, info));
     let key = Zeroizing::new(std::array::from_fn(|index| bytes[index]));
     (key, std::array::from_fn(|index| bytes[16 + index]))

@@ -226,7 +226,7 @@ impl Provider for RustCryptoProvider {
     }
 }
 
-fn halves(point: &[u8]) -> Option<([u8; 32], [u8; 32])> {
+pub(super) fn halves(point: &[u8]) -> Option<([u8; 32], [u8; 32])> {
     let (x, y) = point.split_at_checked(32)?;
     Some((x.try_into().ok()?, y.try_into().ok()?))
 }

@@ -69,33 +69,16 @@ pub struct SealedRecord {
 /// # Errors
 /// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`].
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord> {
-    seal_in_steps(provider, request, &mut |_| ())
-}
-
-/// Like [`seal`]; `done` is called after each step.
-/// # Errors
-/// See [`seal`].
-pub fn seal_in_steps(
-    provider: &dyn Provider,
-    request: &SealRequest<'_>,
-    done: &mut impl FnMut(Step),
-) -> Result<SealedRecord> {
     let head = Zeroizing::new(request.head.encode());
     check_request(request, head.len())?;
-    done(Step::Fields);
     let (header, keys) = header(request, head.len())?;
-    done(Step::Keys);
     let prefix = header.encode();
     let mut blob = Vec::with_capacity(prefix.len() + head.len() + request.body.len() + 2 * TAG_LENGTH);
     blob.extend_from_slice(&prefix);
-    done(Step::Fields);
     append(provider, (&keys.head_key, &keys.head_nonce), &prefix, &head, &mut blob)?;
     append(provider, (&keys.body_key, &keys.body_nonce), &prefix, request.body, &mut blob)?;
-    done(Step::Cipher);
     let digest = Digest(provider.sm3(&[&blob]));
-    done(Step::Digest);
     let signature = provider.sign(&request.signer.secret, &signed_bytes(&request.domain, &digest))?;
-    done(Step::Signature);
     Ok(SealedRecord { header, blob, digest, signature })
 }
 
@@ -352,7 +335,7 @@ pub fn check(
 }
 
 fn check_one(provider: &dyn Provider, record: Unchecked<'_>, digest: Option<Digest>) -> Checked {
-    let (parts, digest, verdict) = checked(provider, record, digest, &mut |_| ())?;
+    let (parts, digest, verdict) = checked(provider, record, digest)?;
     Ok((parts.header, digest, verdict))
 }
 
@@ -372,17 +355,14 @@ pub fn check_deleted(
     if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
 }
 
-/// The check itself; `digest` is the SM3 of the blob, if it is computed already, `done` is called after each step.
+/// The check itself; `digest` is the SM3 of the blob, if it is computed already.
 fn checked<'a>(
     provider: &dyn Provider,
     Unchecked { blob, signature, signer, anchor }: Unchecked<'a>,
     digest: Option<Digest>,
-    done: &mut impl FnMut(Step),
 ) -> Result<(Parts<'a>, Digest, Verdict)> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
-    done(Step::Fields);
     let digest = digest.unwrap_or_else(|| Digest(provider.sm3(&[blob])));
-    done(Step::Digest);
     let verdict = match anchor {
         Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
         Anchor::Remembered(anchored) if anchored == digest => Verdict::NotChecked,
@@ -394,7 +374,6 @@ fn checked<'a>(
     if !signed && !fault::is_off("signature") {
         return Err(CryptoError::Tampered("signature"));
     }
-    done(Step::Signature);
     Ok((parts, digest, verdict))
 }
 
@@ -410,38 +389,16 @@ pub fn open(
     topic_key: &TopicKey,
     expected: &Expected,
 ) -> Result<OpenedRecord> {
-    open_in_steps(provider, (blob, signature, signer), anchor, topic_key, expected, &mut |_| ())
-}
-
-/// Like [`open`] of (blob, signature, signer); `done` is called after each step.
-/// # Errors
-/// See [`open`].
-pub fn open_in_steps(
-    provider: &dyn Provider,
-    (blob, signature, signer): (&[u8], &Signature, &PublicKey),
-    anchor: Anchor,
-    topic_key: &TopicKey,
-    expected: &Expected,
-    done: &mut impl FnMut(Step),
-) -> Result<OpenedRecord> {
-    let (parts, digest, verdict) = checked(provider, Unchecked { blob, signature, signer, anchor }, None, done)?;
+    let (parts, digest, verdict) = checked(provider, Unchecked { blob, signature, signer, anchor }, None)?;
     let keys = RecordKeys::derive(topic_key, &parts.header).committed(&parts.header)?;
-    done(Step::Keys);
-    let (head, body) = unseal(provider, &keys, &parts, done)?;
+    let (head, body) = unseal(provider, &keys, &parts)?;
     compare(expected, &parts.header)?;
     expected.names.check(&parts.header, &head)?;
-    done(Step::Fields);
     let body = restore(&head, body)?;
-    done(Step::Restore);
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
-fn unseal(
-    provider: &dyn Provider,
-    keys: &RecordKeys,
-    parts: &Parts<'_>,
-    done: &mut impl FnMut(Step),
-) -> Result<(Head, Vec<u8>)> {
+fn unseal(provider: &dyn Provider, keys: &RecordKeys, parts: &Parts<'_>) -> Result<(Head, Vec<u8>)> {
     let tampered = |what| move |_| CryptoError::Tampered(what);
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, parts.prefix, parts.head)
@@ -449,7 +406,6 @@ fn unseal(
     let mut body = provider
         .gcm_open(&keys.body_key, &keys.body_nonce, parts.prefix, parts.body)
         .map_err(tampered("sealed body"))?;
-    done(Step::Cipher);
     let head = Head::parse(&head).map_err(CryptoError::DamagedRecord)?;
     if !is_length(&head, &body) {
         return Err(CryptoError::Tampered("plain length"));
@@ -583,7 +539,7 @@ pub fn open_revealed_within(
 ) -> Result<Option<Revealed>> {
     let parts = parse(blob).map_err(CryptoError::DamagedRecord)?;
     let keys = secret.keys(&parts.header).committed(&parts.header)?;
-    let (head, body) = unseal(provider, &keys, &parts, &mut |_| ())?;
+    let (head, body) = unseal(provider, &keys, &parts)?;
     let Some(left) = budget.checked_sub(head.plain_length) else { return Ok(None) };
     *budget = left;
     let body = restore(&head, body)?;
@@ -593,23 +549,6 @@ pub fn open_revealed_within(
 /// The bytes an owner signs to disclose records: label, domain, SM3 of the list of digests and secrets.
 pub fn reveal_bytes(domain: &Domain, list: &Digest) -> Vec<u8> {
     [&b"AuthROS/reveal/3"[..], &domain.0, &list.0].concat()
-}
-
-/// The step just done. A step may be reported more than once for a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Step {
-    /// Head and header to bytes, or back, with all checks of their fields.
-    Fields,
-    /// The record's keys derived from the topic key, and a fresh salt drawn.
-    Keys,
-    /// SM4-GCM of head and body.
-    Cipher,
-    /// SM3 of the stored bytes.
-    Digest,
-    /// SM2: signing or verifying.
-    Signature,
-    /// The message decompressed.
-    Restore,
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use zeroize::Zeroizing;
 
-use crate::crypto::kdf::{Info, derived};
+use crate::crypto::kdf::{Info, key_and_nonce};
 use crate::crypto::{Ephemeral, Provider, SmKeyPair, TransportKey, domain, random_bytes, signer_id};
 use crate::error::{Code, GatewayError, Refusal, Result};
 use crate::model::layout;
@@ -61,8 +61,8 @@ struct Shared {
 
 impl Shared {
     /// Key and iv that seal N.
-    fn identify_key(&self) -> Zeroizing<[u8; 28]> {
-        Zeroizing::new(derived(&*self.secret, &self.transcript.0, &Info::new("AuthROS/identify/1")))
+    fn identify_key(&self) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
+        key_and_nonce(&*self.secret, &self.transcript.0, &Info::new("AuthROS/identify/1"))
     }
 
     fn identify_aad(&self) -> Vec<u8> {
@@ -126,7 +126,7 @@ impl ClientAgreed {
     pub fn identify(self, name: &ProfileName, key: Option<&TransportKey>) -> Result<(Vec<u8>, Session), GatewayError> {
         let purpose = if key.is_some() { Purpose::Transfer } else { Purpose::Allocation };
         let mut sealed = encode_name(purpose, name);
-        let (cipher_key, nonce) = halves(&self.0.identify_key());
+        let (cipher_key, nonce) = self.0.identify_key();
         self.0.context.provider.gcm_seal(&cipher_key, &nonce, &self.0.identify_aad(), &mut sealed)?;
         let session = self.0.session(Side::Client, &sealed, key);
         Ok((sealed, session))
@@ -178,7 +178,7 @@ impl GatewayHello {
     }
 
     pub fn identified(self, payload: &[u8]) -> Result<Identified> {
-        let (key, nonce) = halves(&self.0.identify_key());
+        let (key, nonce) = self.0.identify_key();
         let opened = self.0.context.provider.gcm_open(&key, &nonce, &self.0.identify_aad(), payload);
         let plain = opened.map_err(Refusal::because(Code::Tag))?;
         let (purpose, name) = parse_name(&plain).map_err(Refusal::because(Code::Malformed))?;
@@ -203,10 +203,6 @@ impl Identified {
     pub fn session(self, key: Option<&TransportKey>) -> Session {
         self.shared.session(Side::Gateway, &self.identify, key)
     }
-}
-
-fn halves(bytes: &[u8; 28]) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
-    (Zeroizing::new(std::array::from_fn(|index| bytes[index])), std::array::from_fn(|index| bytes[16 + index]))
 }
 
 impl From<WireError> for Refusal {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use zeroize::Zeroizing;
 
 use crate::crypto::Provider;
-use crate::crypto::kdf::{Info, derived};
+use crate::crypto::kdf::{Info, key_and_nonce};
 use crate::model::bytes::hex;
 use crate::model::wire::Reader;
 
@@ -47,11 +47,8 @@ pub struct DirectionKeys {
 
 impl DirectionKeys {
     fn derive(material: &[u8], salt: &[u8; 32], direction: u8) -> Self {
-        let bytes = Zeroizing::new(derived::<28>(material, salt, &Info::new("AuthROS/session/1").fixed(&[direction])));
-        Self {
-            key: Zeroizing::new(std::array::from_fn(|index| bytes[index])),
-            iv: Zeroizing::new(std::array::from_fn(|index| bytes[16 + index])),
-        }
+        let (key, iv) = key_and_nonce(material, salt, &Info::new("AuthROS/session/1").fixed(&[direction]));
+        Self { key, iv: Zeroizing::new(iv) }
     }
 
     /// The iv with the counter XORed into its last eight bytes.

@@ -2,17 +2,13 @@
 //! are nibble look-ups within a register.
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
-use std::arch::x86_64::{
-    __m128i, __m256i, _mm_aesenclast_si128, _mm_set_epi64x, _mm_setr_epi8, _mm_setzero_si128, _mm256_and_si256,
-    _mm256_castsi256_si128, _mm256_cvtsi256_si32, _mm256_extracti128_si256, _mm256_set_m128i, _mm256_set1_epi8,
-    _mm256_set1_epi32, _mm256_setzero_si256, _mm256_shuffle_epi8, _mm256_srli_epi16, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 
-use super::Counter;
-use super::avx2::{GROUP, Group, add_group, counters, diffused, shuffled, sm4_avx2, without_first};
+use super::avx2::{GROUP, Group, add_group, counters, diffused, mixed, shuffled, sm4_vectors, without_first};
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, product, round_keys};
+use super::{Counter, FIRST};
 
 /// An affine map as two sums: one for the lower half of a byte, one for the upper.
 struct Halves {
@@ -73,4 +69,4 @@ fn substituted(bytes: __m256i) -> __m256i {
     shuffled(bytes, _mm_setr_epi8(0, 13, 10, 7, 4, 1, 14, 11, 8, 5, 2, 15, 12, 9, 6, 3))
 }
 
-sm4_avx2!("avx2,aes");
+sm4_vectors!("avx2,aes", 8, _mm256_setzero_si256, _mm256_set1_epi32, _mm256_cvtsi256_si32);

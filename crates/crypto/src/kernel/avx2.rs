@@ -1,14 +1,9 @@
-//! SM4 on 16 blocks at once with AVX2; each kernel supplies its own S-box.
+//! SM4 on 32 blocks at once with AVX2, where each kernel supplies its own S-box, and what all vector kernels share.
 //! Safety: the features are checked before [`super`] calls; the only memory access goes through references to whole
 //! arrays of 32 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
-use std::arch::x86_64::{
-    __m128i, __m256i, _mm_setr_epi8, _mm256_add_epi32, _mm256_andnot_si256, _mm256_broadcastsi128_si256,
-    _mm256_loadu_si256, _mm256_or_si256, _mm256_set1_epi32, _mm256_setr_epi32, _mm256_shuffle_epi8, _mm256_slli_epi32,
-    _mm256_srli_epi32, _mm256_storeu_si256, _mm256_unpackhi_epi32, _mm256_unpackhi_epi64, _mm256_unpacklo_epi32,
-    _mm256_unpacklo_epi64, _mm256_xor_si256,
-};
+use std::arch::x86_64::*;
 
 use super::Counter;
 
@@ -36,6 +31,13 @@ pub(super) fn diffused(word: __m256i, bytes: __m256i) -> __m256i {
     let turned = _mm256_or_si256(_mm256_slli_epi32::<2>(three), _mm256_srli_epi32::<30>(three));
     let rest = _mm256_xor_si256(word, _mm256_xor_si256(bytes, twenty_four));
     _mm256_xor_si256(rest, turned)
+}
+
+/// The sum that goes through the S-box.
+#[inline]
+#[target_feature(enable = "avx2")]
+pub(super) fn mixed([one, two, three]: [__m256i; 3], key: __m256i) -> __m256i {
+    _mm256_xor_si256(_mm256_xor_si256(one, two), _mm256_xor_si256(three, key))
 }
 
 /// 8 counter blocks from `number` on, laid out so that [`add_group`] needs no exchange between lanes.
@@ -92,19 +94,19 @@ fn add(vector: __m256i, part: &mut [u8; 32]) {
     }
 }
 
-/// Defines `apply` and `first` for a kernel whose S-box is the function `substituted` in its file.
-macro_rules! sm4_avx2 {
-    ($features:literal) => {
+/// Defines `expand`, `apply` and `first` of a kernel by the functions of its file (`substituted` is its S-box), the
+/// blocks of a group, and three instructions of its vectors.
+macro_rules! sm4_vectors {
+    ($features:literal, $blocks:literal, $zero:ident, $broadcast:ident, $lowest:ident) => {
         #[inline]
         #[target_feature(enable = $features)]
         fn rounds<const N: usize>(keys: &[u32; 32], groups: &mut [Group; N]) {
             for keys in keys.as_chunks::<4>().0 {
                 for (at, key) in keys.iter().enumerate() {
-                    let key = _mm256_set1_epi32(key.cast_signed());
+                    let key = $broadcast(key.cast_signed());
                     for group in groups.iter_mut() {
-                        let sum = _mm256_xor_si256(group[(at + 1) % 4], group[(at + 2) % 4]);
-                        let sum = _mm256_xor_si256(sum, _mm256_xor_si256(group[(at + 3) % 4], key));
-                        group[at] = diffused(group[at], substituted(sum));
+                        let others = [group[(at + 1) % 4], group[(at + 2) % 4], group[(at + 3) % 4]];
+                        group[at] = diffused(group[at], substituted(mixed(others, key)));
                     }
                 }
             }
@@ -120,10 +122,10 @@ macro_rules! sm4_avx2 {
         ) -> &'a mut [u8] {
             let (batches, rest) = text.as_chunks_mut::<BYTES>();
             for batch in batches {
-                let mut groups = [[_mm256_setzero_si256(); 4]; N];
+                let mut groups = [[$zero(); 4]; N];
                 for group in &mut groups {
                     *group = counters(*counter);
-                    counter.number = counter.number.wrapping_add(8);
+                    counter.number = counter.number.wrapping_add($blocks);
                 }
                 rounds(keys, &mut groups);
                 for (group, part) in groups.iter().zip(batch.as_chunks_mut::<GROUP>().0) {
@@ -148,11 +150,14 @@ macro_rules! sm4_avx2 {
 
         /// The first 16 blocks of a nonce: E(0), E(J0), then the stream.
         #[target_feature(enable = $features)]
-        pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; 256] {
-            let mut groups = [counters(Counter { nonce, number: 0 }), counters(Counter { nonce, number: 8 })];
+        pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; FIRST] {
+            let mut groups = [[$zero(); 4]; FIRST / GROUP];
+            for (group, number) in groups.iter_mut().zip((0u32..).step_by($blocks)) {
+                *group = counters(Counter { nonce, number });
+            }
             without_first(&mut groups[0]);
             rounds(keys, &mut groups);
-            let mut out = [0; 256];
+            let mut out = [0; FIRST];
             for (group, part) in groups.iter().zip(out.as_chunks_mut::<GROUP>().0) {
                 add_group(group, part);
             }
@@ -161,11 +166,8 @@ macro_rules! sm4_avx2 {
 
         #[target_feature(enable = $features)]
         pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
-            round_keys(key, |word| {
-                let word = substituted(_mm256_set1_epi32(word.cast_signed()));
-                _mm256_cvtsi256_si32(word).cast_unsigned()
-            })
+            round_keys(key, |word| $lowest(substituted($broadcast(word.cast_signed()))).cast_unsigned())
         }
     };
 }
-pub(super) use sm4_avx2;
+pub(super) use sm4_vectors;

@@ -3,18 +3,13 @@
 //! access goes through references to whole arrays of 64 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
-use std::arch::x86_64::{
-    __m512i, _mm_setr_epi32, _mm512_add_epi32, _mm512_broadcast_i32x4, _mm512_cvtsi512_si32,
-    _mm512_gf2p8affine_epi64_epi8, _mm512_gf2p8affineinv_epi64_epi8, _mm512_loadu_si512, _mm512_mask_set1_epi32,
-    _mm512_rol_epi32, _mm512_set1_epi32, _mm512_set1_epi64, _mm512_setr_epi32, _mm512_setzero_si512,
-    _mm512_shuffle_epi8, _mm512_storeu_si512, _mm512_ternarylogic_epi32, _mm512_unpackhi_epi32, _mm512_unpackhi_epi64,
-    _mm512_unpacklo_epi32, _mm512_unpacklo_epi64, _mm512_xor_si512,
-};
+use std::arch::x86_64::*;
 
 use zeroize::Zeroizing;
 
-use super::Counter;
+use super::avx2::sm4_vectors;
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, round_keys};
+use super::{Counter, FIRST};
 
 /// The XOR of three operands.
 const XOR: i32 = 0x96;
@@ -33,12 +28,17 @@ fn substituted(bytes: __m512i) -> __m512i {
     _mm512_gf2p8affineinv_epi64_epi8::<{ CONSTANT_AFTER as i32 }>(mapped, after)
 }
 
-/// One round of one group: the word to replace, and the other three.
+/// The sum that goes through the S-box.
 #[inline]
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-fn round(word: __m512i, others: [__m512i; 3], key: __m512i) -> __m512i {
-    let mixed = _mm512_ternarylogic_epi32::<XOR>(others[0], others[1], others[2]);
-    let bytes = substituted(_mm512_xor_si512(mixed, key));
+#[target_feature(enable = "avx512f")]
+fn mixed([one, two, three]: [__m512i; 3], key: __m512i) -> __m512i {
+    _mm512_xor_si512(_mm512_ternarylogic_epi32::<XOR>(one, two, three), key)
+}
+
+/// The substituted bytes before they are added: L of GB/T 32907, 6.2.2.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn diffused(word: __m512i, bytes: __m512i) -> __m512i {
     let two = _mm512_ternarylogic_epi32::<XOR>(word, bytes, _mm512_rol_epi32::<2>(bytes));
     let four = _mm512_ternarylogic_epi32::<XOR>(
         _mm512_rol_epi32::<10>(bytes),
@@ -46,20 +46,6 @@ fn round(word: __m512i, others: [__m512i; 3], key: __m512i) -> __m512i {
         _mm512_rol_epi32::<24>(bytes),
     );
     _mm512_xor_si512(two, four)
-}
-
-#[inline]
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-fn rounds<const N: usize>(keys: &[u32; 32], groups: &mut [Group; N]) {
-    for keys in keys.as_chunks::<4>().0 {
-        for (at, key) in keys.iter().enumerate() {
-            let key = _mm512_set1_epi32(key.cast_signed());
-            for group in groups.iter_mut() {
-                let others = [group[(at + 1) % 4], group[(at + 2) % 4], group[(at + 3) % 4]];
-                group[at] = round(group[at], others, key);
-            }
-        }
-    }
 }
 
 /// The blocks of a group in order, big endian; the counters were laid out so that this transposition within lanes is
@@ -82,7 +68,7 @@ fn blocks(group: &Group) -> [__m512i; 4] {
 /// 16 counter blocks from `number` on.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn counters(nonce: [u32; 3], number: u32) -> Group {
+fn counters(Counter { nonce, number }: Counter) -> Group {
     let dealt = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
     let [first, second, third] = nonce.map(|word| _mm512_set1_epi32(word.cast_signed()));
     [first, second, third, _mm512_add_epi32(_mm512_set1_epi32(number.cast_signed()), dealt)]
@@ -101,67 +87,20 @@ fn add(vector: __m512i, part: &mut [u8; 64]) {
 
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw")]
-fn add_group(group: &Group, text: &mut [u8]) {
+fn add_group(group: &Group, text: &mut [u8; GROUP]) {
     let stream = blocks(group);
     for (vector, part) in stream.into_iter().zip(text.as_chunks_mut::<64>().0) {
         add(vector, part);
     }
 }
 
-/// XORs the stream into `text`, `N` groups (`BYTES`) at a time, and returns the rest.
+/// Sets the first block to zero.
 #[inline]
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-fn sweep<'a, const N: usize, const BYTES: usize>(
-    keys: &[u32; 32],
-    counter: &mut Counter,
-    text: &'a mut [u8],
-) -> &'a mut [u8] {
-    let (batches, rest) = text.as_chunks_mut::<BYTES>();
-    for batch in batches {
-        let mut groups = [[_mm512_setzero_si512(); 4]; N];
-        for group in &mut groups {
-            *group = counters(counter.nonce, counter.number);
-            counter.number = counter.number.wrapping_add(16);
-        }
-        rounds(keys, &mut groups);
-        for (group, part) in groups.iter().zip(batch.as_chunks_mut::<GROUP>().0) {
-            add_group(group, part);
-        }
-    }
-    rest
-}
-
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-pub(super) fn apply(keys: &[u32; 32], mut counter: Counter, text: &mut [u8]) {
-    let rest = sweep::<4, { 4 * GROUP }>(keys, &mut counter, text);
-    let rest = sweep::<2, { 2 * GROUP }>(keys, &mut counter, rest);
-    let rest = sweep::<1, GROUP>(keys, &mut counter, rest);
-    if !rest.is_empty() {
-        let mut last = Zeroizing::new([0; GROUP]);
-        last[..rest.len()].copy_from_slice(rest);
-        sweep::<1, GROUP>(keys, &mut counter, &mut *last);
-        rest.copy_from_slice(&last[..rest.len()]);
-    }
-}
-
-/// The first 16 blocks of a nonce: E(0), E(J0), then the stream.
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; GROUP] {
-    let mut group = counters(nonce, 0);
+#[target_feature(enable = "avx512f")]
+fn without_first(group: &mut Group) {
     for word in &mut group[..3] {
         *word = _mm512_mask_set1_epi32(*word, 1, 0);
     }
-    let mut groups = [group];
-    rounds(keys, &mut groups);
-    let mut out = [0; GROUP];
-    add_group(&groups[0], &mut out);
-    out
 }
 
-#[target_feature(enable = "avx512f,avx512bw,gfni")]
-pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
-    round_keys(key, |word| {
-        let word = substituted(_mm512_set1_epi32(word.cast_signed()));
-        _mm512_cvtsi512_si32(word).cast_unsigned()
-    })
-}
+sm4_vectors!("avx512f,avx512bw,gfni", 16, _mm512_setzero_si512, _mm512_set1_epi32, _mm512_cvtsi512_si32);

@@ -3,11 +3,7 @@
 //! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole borrowed arrays.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
-use std::arch::x86_64::{
-    __m128i, __m512i, _mm_set_epi64x, _mm_xor_si128, _mm512_broadcast_i32x4, _mm512_bslli_epi128, _mm512_bsrli_epi128,
-    _mm512_clmulepi64_epi128, _mm512_extracti32x4_epi32, _mm512_loadu_si512, _mm512_setzero_si512, _mm512_shuffle_epi8,
-    _mm512_ternarylogic_epi64, _mm512_xor_si512, _mm512_zextsi128_si512,
-};
+use std::arch::x86_64::*;
 
 use super::ghash_pclmul::{halves, number, reduced};
 

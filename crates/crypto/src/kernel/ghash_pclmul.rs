@@ -3,10 +3,7 @@
 //! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole blocks.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
-use std::arch::x86_64::{
-    __m128i, _mm_bslli_si128, _mm_bsrli_si128, _mm_clmulepi64_si128, _mm_cvtsi128_si64, _mm_loadu_si128,
-    _mm_set_epi64x, _mm_setzero_si128, _mm_shuffle_epi8, _mm_shuffle_epi32, _mm_unpackhi_epi64, _mm_xor_si128,
-};
+use std::arch::x86_64::*;
 
 /// The upper half of x^128 + x^127 + x^126 + x^121 + 1, without its first term.
 const POLYNOMIAL: u64 = 0xc200_0000_0000_0000;
@@ -96,26 +93,27 @@ pub(super) fn powers(key: u128, count: usize) -> [u128; 16] {
     powers
 }
 
+/// Adds up to 16 blocks, by as many of the last powers, and reduces once.
+#[inline]
+#[target_feature(enable = "sse2,ssse3,pclmulqdq")]
+fn added(mut hash: __m128i, blocks: &[[u8; 16]], powers: &[u128]) -> __m128i {
+    let mut sum = Sum::zero();
+    for (block, power) in blocks.iter().zip(powers) {
+        sum.add(_mm_xor_si128(turned(block), hash), halves(*power));
+        hash = _mm_setzero_si128();
+    }
+    sum.reduced()
+}
+
 #[target_feature(enable = "sse2,ssse3,pclmulqdq")]
 pub(super) fn update(powers: &[u128; 16], hash: u128, blocks: &[[u8; 16]]) -> u128 {
-    let zero = _mm_setzero_si128();
-    let mut hash = halves(hash);
     let (batches, rest) = blocks.as_chunks::<16>();
+    let mut hash = halves(hash);
     for batch in batches {
-        let (mut sum, mut carried) = (Sum::zero(), hash);
-        for (block, power) in batch.iter().zip(powers) {
-            sum.add(_mm_xor_si128(turned(block), carried), halves(*power));
-            carried = zero;
-        }
-        hash = sum.reduced();
+        hash = added(hash, batch, powers);
     }
     if !rest.is_empty() {
-        let (mut sum, mut carried) = (Sum::zero(), hash);
-        for (block, power) in rest.iter().zip(&powers[16 - rest.len()..]) {
-            sum.add(_mm_xor_si128(turned(block), carried), halves(*power));
-            carried = zero;
-        }
-        hash = sum.reduced();
+        hash = added(hash, rest, &powers[16 - rest.len()..]);
     }
     number(hash)
 }

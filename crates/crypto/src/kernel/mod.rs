@@ -2,6 +2,7 @@
 //! the same time for all secrets. The only `unsafe` is here and below: functions that need processor features are
 //! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
+#![allow(clippy::wildcard_imports, reason = "instructions of the processor, named like nothing else")]
 
 use std::sync::OnceLock;
 
@@ -157,54 +158,36 @@ pub(super) struct Sm4 {
     keys: Zeroizing<[u32; 32]>,
 }
 
+/// Calls a function of a kernel.
+macro_rules! by_kernel {
+    ($kernel:expr, $function:ident($($argument:expr),+)) => {
+        match $kernel.0 {
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: `$kernel` exists, so its features do.
+            Kernel::GfniAvx512 => unsafe { gfni_avx512::$function($($argument),+) },
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: as above.
+            Kernel::GfniAvx2 => unsafe { gfni_avx2::$function($($argument),+) },
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: as above.
+            Kernel::AesniAvx2 => unsafe { aesni_avx2::$function($($argument),+) },
+            _ => portable::$function($($argument),+),
+        }
+    };
+}
+
 impl Sm4 {
     pub fn new(kernel: Available, key: &[u8; 16]) -> Self {
-        let keys = match kernel.0 {
-            // SAFETY: `kernel` exists, so its features do.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx512 => unsafe { gfni_avx512::expand(key) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx2 => unsafe { gfni_avx2::expand(key) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::AesniAvx2 => unsafe { aesni_avx2::expand(key) },
-            _ => portable::expand(key),
-        };
-        Self { kernel, keys: Zeroizing::new(keys) }
+        Self { kernel, keys: Zeroizing::new(by_kernel!(kernel, expand(key))) }
     }
 
     /// XORs `text` with the encrypted blocks nonce || number, nonce || number + 1, ... (modulo 2^32).
     pub fn apply(&self, nonce: &[u8; 12], number: u32, text: &mut [u8]) {
-        let counter = Counter { nonce: words(nonce), number };
-        match self.kernel.0 {
-            // SAFETY: `kernel` exists, so its features do.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx512 => unsafe { gfni_avx512::apply(&self.keys, counter, text) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx2 => unsafe { gfni_avx2::apply(&self.keys, counter, text) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::AesniAvx2 => unsafe { aesni_avx2::apply(&self.keys, counter, text) },
-            _ => portable::apply(&self.keys, counter, text),
-        }
+        by_kernel!(self.kernel, apply(&self.keys, Counter { nonce: words(nonce), number }, text));
     }
 
     /// Everything GCM needs besides the text, in one batch: E(0), E(nonce || 1), and stream blocks 2 to 15.
     pub fn first(&self, nonce: &[u8; 12]) -> Zeroizing<[u8; FIRST]> {
-        let nonce = words(nonce);
-        Zeroizing::new(match self.kernel.0 {
-            // SAFETY: `kernel` exists, so its features do.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx512 => unsafe { gfni_avx512::first(&self.keys, nonce) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::GfniAvx2 => unsafe { gfni_avx2::first(&self.keys, nonce) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Kernel::AesniAvx2 => unsafe { aesni_avx2::first(&self.keys, nonce) },
-            _ => portable::first(&self.keys, nonce),
-        })
+        Zeroizing::new(by_kernel!(self.kernel, first(&self.keys, words(nonce))))
     }
 }

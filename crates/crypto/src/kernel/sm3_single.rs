@@ -109,3 +109,68 @@ fn rounds<const LANES: usize>(
         }
     }
 }
+
+/// What both vector kernels do in the same way, by the functions of their files: `load`, `store`, `words`, `turned`,
+/// `sum` and `chosen`, and four instructions of their vectors.
+macro_rules! sm3_vectors {
+    ($features:literal, $vector:ident, $zero:ident, $broadcast:ident, $add:ident, $xor:ident) => {
+        /// The word that follows 16 words, given `w(0)`, the oldest, to `w(15)` (5.3.2).
+        #[inline]
+        #[target_feature(enable = $features)]
+        fn next(w: impl Fn(usize) -> $vector) -> $vector {
+            let mixed = sum(w(0), w(7), turned::<15>(w(13)));
+            let mixed = sum(mixed, turned::<15>(mixed), turned::<23>(mixed));
+            sum(mixed, turned::<7>(w(3)), w(10))
+        }
+
+        /// Compresses one block of each message into its state.
+        #[target_feature(enable = $features)]
+        pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
+            let mut w = words(blocks.iter().copied());
+            let mut before = [$zero(); 8];
+            for (vector, words) in before.iter_mut().zip(states.iter()) {
+                *vector = load(words);
+            }
+            let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = before;
+            for round in 0..64 {
+                let word = w[round % 16];
+                if round >= 12 {
+                    w[(round + 4) % 16] = next(|at| w[(round + 4 + at) % 16]);
+                }
+                let mixed = $xor(word, w[(round + 4) % 16]);
+                let twelve = turned::<12>(a);
+                let key = $add($broadcast(CONSTANTS[round].cast_signed()), e);
+                let one = turned::<7>($add(twelve, key));
+                let two = $xor(one, twelve);
+                let (ff, gg) = chosen(round, [a, b, c], [e, f, g]);
+                let first = $add($add(ff, d), $add(two, mixed));
+                let second = $add($add(gg, h), $add(one, word));
+                let second = sum(second, turned::<9>(second), turned::<17>(second));
+                (a, b, c, d) = (first, a, turned::<9>(b), c);
+                (e, f, g, h) = (second, e, turned::<19>(f), g);
+            }
+            for ((words, old), new) in states.iter_mut().zip(before).zip([a, b, c, d, e, f, g, h]) {
+                store(words, $xor(old, new));
+            }
+        }
+
+        #[inline]
+        #[target_feature(enable = $features)]
+        fn begin(rows: &mut Rows<LANES>, group: &[[u8; BLOCK]; LANES]) {
+            for (row, words) in rows.0.iter_mut().zip(words(group.iter())) {
+                store(row, words);
+            }
+        }
+
+        #[inline]
+        #[target_feature(enable = $features)]
+        fn row(Rows(rows): &mut Rows<LANES>, at: usize) {
+            assert!(at < 64, "a block has 64 rounds");
+            let next = next(|after| load(&rows[at + after]));
+            let mixed = $xor(load(&rows[at]), load(&rows[at + 4]));
+            store(&mut rows[at + 16], next);
+            store(&mut rows[at + MIXED], mixed);
+        }
+    };
+}
+pub(super) use sm3_vectors;

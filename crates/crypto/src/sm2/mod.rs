@@ -15,7 +15,7 @@ use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 use crate::der::CipherParts;
 use crate::kernel::sm2::{Affine, Scalar, Signer, SignerTable, multiply, multiply_both, multiply_generator, verifies};
 use crate::model::{PublicKey, Signature};
-use crate::provider::DISTINGUISHED_ID;
+use crate::provider::{DISTINGUISHED_ID, halves};
 use crate::secret::{joined, random_bytes};
 use crate::sm3::{Sm3Hasher, sm3};
 use crate::{CryptoError, Result};
@@ -357,7 +357,7 @@ fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<CipherParts>
     }
     let check = check_value(&coordinates, plain);
     let own = own.to_bytes();
-    let (x, y) = halves(&own);
+    let (x, y) = halves(&own)?;
     Some(CipherParts { x, y, check, text })
 }
 
@@ -404,11 +404,4 @@ fn mask(coordinates: &[u8; 64], text: &mut [u8]) -> bool {
 fn check_value(coordinates: &[u8; 64], plain: &[u8]) -> [u8; 32] {
     let (x, y) = coordinates.split_at(32);
     sm3(&[x, plain, y])
-}
-
-fn halves(point: &[u8; 64]) -> ([u8; 32], [u8; 32]) {
-    let (mut x, mut y) = ([0; 32], [0; 32]);
-    x.copy_from_slice(&point[..32]);
-    y.copy_from_slice(&point[32..]);
-    (x, y)
 }

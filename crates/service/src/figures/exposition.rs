@@ -1,7 +1,8 @@
 //! Figures in Prometheus's text format, with labels from a bounded set.
 
-use super::{BOUNDS, Figures, LaneFigures, Latency, LifeLine, OwnerFigures, TopicFigures};
+use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures, TopicFigures, short};
 use crate::model::Timestamp;
+use crate::pipeline::sender::LaneState;
 use crate::reply::{HealthLevel, TaskState};
 
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -182,21 +183,24 @@ fn cache(text: &mut Text, figures: &Figures) {
 }
 
 fn chain(text: &mut Text, figures: &Figures) {
-    fn by(row: &LaneFigures) -> [(&'static str, &str); 1] {
-        [("account", &row.account)]
+    fn by<'a>((account, _): &'a (String, &LaneState)) -> [(&'static str, &'a str); 1] {
+        [("account", account)]
     }
     if let Some((number, time)) = figures.block {
         text.single("authros_chain_block_height", "gauge", "Height of the newest block.", number);
         let help = "Time since the newest block, by that block's own time.";
         text.single("authros_last_block_age_seconds", "gauge", help, figures.age(time));
     }
-    let (lanes, age) = (&figures.lanes, |oldest| figures.age(oldest));
+    let lanes: Vec<_> = figures.lanes.iter().map(|lane| (short(&lane.account.to_string()), lane)).collect();
+    let (lanes, age) = (&lanes, |oldest| figures.age(oldest));
     let help = "Transactions of a lane that are not in a block yet.";
-    text.family("authros_lane_open_transactions", "gauge", help, lanes, |row| (by(row), row.open));
+    text.family("authros_lane_open_transactions", "gauge", help, lanes, |row| (by(row), row.1.open));
     let help = "Age of a lane's oldest open transaction; 0 if there is none.";
-    text.family("authros_lane_oldest_age_seconds", "gauge", help, lanes, |row| (by(row), row.oldest.map_or(0.0, age)));
+    text.family("authros_lane_oldest_age_seconds", "gauge", help, lanes, |row| {
+        (by(row), row.1.oldest.map_or(0.0, age))
+    });
     let help = "1 if a lane is stuck until somebody intervenes; otherwise 0.";
-    text.family("authros_lane_paused", "gauge", help, lanes, |row| (by(row), u8::from(row.paused)));
+    text.family("authros_lane_paused", "gauge", help, lanes, |row| (by(row), u8::from(row.1.paused.is_some())));
 }
 
 fn health(text: &mut Text, figures: &Figures) {

@@ -8,6 +8,7 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 use crate::chain::serve::is_this_machine;
 use crate::model::Timestamp;
+use crate::pipeline::sender::LaneState;
 use crate::reply::{LifeLine, PartHealth, QueueView, TaskView};
 use crate::store::CacheState;
 
@@ -20,7 +21,7 @@ pub struct Figures {
     pub parts: Vec<PartHealth>,
     pub tasks: Vec<TaskView>,
     pub queue: QueueView,
-    pub lanes: Vec<LaneFigures>,
+    pub lanes: Vec<LaneState>,
     /// Height, and the block's own time.
     pub block: Option<(u64, Timestamp)>,
     /// In the order of their ends; `None` = the chain is unknown.
@@ -83,14 +84,6 @@ pub struct GrantFigures {
 pub struct GatewayFigures {
     pub connections: u64,
     pub refused: Vec<(u16, u64)>,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LaneFigures {
-    pub account: String,
-    pub open: u64,
-    pub oldest: Option<Timestamp>,
-    pub paused: bool,
 }
 
 #[derive(Debug, Clone)]

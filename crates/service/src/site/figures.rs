@@ -15,9 +15,10 @@ use crate::figures;
 use crate::model::steady_clock::look;
 use crate::model::{Address, Timestamp};
 use crate::pipeline::audit_head;
+use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::figures::{
-    BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
+    BOUNDS, Figures, GrantFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
 };
 use crate::service::reply::{GrantState, HealthLevel, Result};
 use crate::service::socket;
@@ -120,7 +121,7 @@ impl Site {
             parts: self.parts_health()?.into_iter().filter(|part| part.level != HealthLevel::Absent).collect(),
             tasks: self.parts.supervisor.views(),
             queue: self.queue_view(),
-            lanes: self.lane_figures()?,
+            lanes: self.lane_states()?,
             block: head.map(|head| (head.number, Timestamp::from_seconds(head.timestamp))),
             grants: self.grant_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
@@ -164,16 +165,11 @@ impl Site {
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
 
-    fn lane_figures(&self) -> Result<Vec<LaneFigures>> {
+    fn lane_states(&self) -> Result<Vec<LaneState>> {
         let Some(network) = self.parts.link.network_now() else { return Ok(Vec::new()) };
         let mut lanes = Vec::new();
         for owner in self.parts.owners.all() {
-            lanes.extend(self.lanes.lane_states(&owner, &network)?.into_iter().map(|lane| LaneFigures {
-                account: short(&lane.account.to_string()),
-                open: lane.open,
-                oldest: lane.oldest,
-                paused: lane.paused.is_some(),
-            }));
+            lanes.extend(self.lanes.lane_states(&owner, &network)?);
         }
         Ok(lanes)
     }

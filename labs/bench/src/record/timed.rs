@@ -1,14 +1,21 @@
-//! One record sealed, or checked, proven and opened, with the clock read after each step.
+//! One record sealed, or checked, proven and opened, by a provider that measures another.
 
 use std::hint::black_box;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
+
+use zeroize::Zeroizing;
 
 use crate::account::{head, message};
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::compression::pack;
-use authros_crypto::record::{Step, open_in_steps, seal_in_steps};
-use authros_crypto::{Anchor, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
-use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderPrefix, Timestamp, TopicId};
+use authros_crypto::{
+    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, SmSecret, TopicKey, open,
+    seal,
+};
+use authros_model::{
+    Address, Domain, FilterId, Head, PublicKey, RecordKind, RecorderPrefix, Signature, Timestamp, TopicId,
+};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -21,26 +28,94 @@ const TOPIC: TopicId = TopicId([4; 16]);
 /// Microseconds of each step, in the order in which they were first done.
 pub type Lap = Vec<(&'static str, f64)>;
 
-/// A clock that is read after each step.
-struct Clock {
-    last: Instant,
-    lap: Lap,
+fn add(lap: &mut Lap, step: &'static str, begun: Instant) {
+    let time = begun.elapsed().as_secs_f64() * 1e6;
+    match lap.iter_mut().find(|(known, _)| *known == step) {
+        Some((_, sum)) => *sum += time,
+        None => lap.push((step, time)),
+    }
 }
 
-impl Clock {
-    fn start() -> Self {
-        Self { lap: Vec::with_capacity(8), last: Instant::now() }
+/// A provider that measures another.
+struct Timed {
+    provider: &'static dyn Provider,
+    lap: Mutex<Lap>,
+    begun: Instant,
+}
+
+impl Timed {
+    fn new(provider: &'static dyn Provider) -> Self {
+        Self { provider, lap: Mutex::default(), begun: Instant::now() }
     }
 
-    fn done(&mut self, step: &'static str) {
-        let now = Instant::now();
-        let time = (now - self.last).as_secs_f64() * 1e6;
-        match self.lap.iter_mut().find(|(known, _)| *known == step) {
-            Some((_, sum)) => *sum += time,
-            None => self.lap.push((step, time)),
-        }
-        // The clock's own time is charged to no step.
-        self.last = Instant::now();
+    fn time<Done>(&self, step: &'static str, work: impl FnOnce() -> Done) -> Done {
+        let begun = Instant::now();
+        let done = work();
+        add(&mut self.lap.lock().unwrap_or_else(PoisonError::into_inner), step, begun);
+        done
+    }
+
+    /// What no step has is the rest.
+    fn finish(self) -> Lap {
+        let whole = self.begun.elapsed().as_secs_f64() * 1e6;
+        let mut lap = self.lap.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let steps: f64 = lap.iter().map(|(_, time)| time).sum();
+        lap.push(("rest", whole - steps));
+        lap
+    }
+}
+
+impl Provider for Timed {
+    fn name(&self) -> &'static str {
+        self.provider.name()
+    }
+
+    fn sm3(&self, parts: &[&[u8]]) -> [u8; 32] {
+        self.time("SM3", || self.provider.sm3(parts))
+    }
+
+    fn gcm_seal_in_place(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        text: &mut [u8],
+    ) -> Result<[u8; 16], CryptoError> {
+        self.time("SM4-GCM", || self.provider.gcm_seal_in_place(key, nonce, aad, text))
+    }
+
+    fn gcm_open(
+        &self,
+        key: &[u8; 16],
+        nonce: &[u8; 12],
+        aad: &[u8],
+        sealed: &[u8],
+    ) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+        self.time("SM4-GCM", || self.provider.gcm_open(key, nonce, aad, sealed))
+    }
+
+    fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError> {
+        self.time("SM2", || self.provider.sign(secret, message))
+    }
+
+    fn verify(&self, public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
+        self.time("SM2", || self.provider.verify(public, message, signature))
+    }
+
+    fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError> {
+        self.provider.encrypt(public, plain)
+    }
+
+    fn decrypt(&self, secret: &SmSecret, der: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
+        self.provider.decrypt(secret, der)
+    }
+
+    fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError> {
+        self.provider.public_key(secret)
+    }
+
+    fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError> {
+        self.provider.check_public_key(public)
     }
 }
 
@@ -66,9 +141,8 @@ impl Kit {
 
     /// Tries to compress, and seals.
     pub fn seal(&self) -> Result<(SealedRecord, Lap), Failure> {
-        let mut clock = Clock::start();
-        let packed = black_box(pack(&self.body, None));
-        clock.done("compress");
+        let timed = Timed::new(self.provider);
+        let packed = timed.time("compress", || black_box(pack(&self.body, None)));
         let request = SealRequest {
             domain: DOMAIN,
             owner: OWNER,
@@ -84,9 +158,9 @@ impl Kit {
             head: &self.head,
             body: &self.body,
         };
-        let sealed = seal_in_steps(self.provider, &request, &mut |step| clock.done(word(step)))?;
+        let sealed = seal(&timed, &request)?;
         match packed {
-            None => Ok((sealed, clock.lap)),
+            None => Ok((sealed, timed.finish())),
             Some(_) => Err(internal("random bytes were compressed")),
         }
     }
@@ -96,26 +170,14 @@ impl Kit {
         let leaf = Leaf::of(&sealed.header, sealed.digest);
         let inclusion = inclusion(&leaf)?;
         let SealedRecord { blob, digest, signature, .. } = sealed;
-        let names = Names::Given(self.head.topic.clone());
-        let (record, expected) = ((&blob[..], signature, &self.signer.public), Expected::any_of(DOMAIN, OWNER, names));
-        let mut clock = Clock::start();
-        let proven = black_box(inclusion.proves(black_box(&leaf)));
-        clock.done("proof");
-        let mut done = |step: Step| clock.done(word(step));
-        let opened = open_in_steps(self.provider, record, Anchor::Chain(*digest), &self.key, &expected, &mut done)?;
+        let expected = Expected::any_of(DOMAIN, OWNER, Names::Given(self.head.topic.clone()));
+        let timed = Timed::new(self.provider);
+        let proven = timed.time("proof", || black_box(inclusion.proves(black_box(&leaf))));
+        let (signer, anchor) = (&self.signer.public, Anchor::Chain(*digest));
+        let opened = open(&timed, blob, signature, signer, anchor, &self.key, &expected)?;
+        let lap = timed.finish();
         let same = proven && opened.body == self.body;
-        if same { Ok(clock.lap) } else { Err(internal("a record did not open to what was sealed")) }
-    }
-}
-
-fn word(step: Step) -> &'static str {
-    match step {
-        Step::Fields => "fields",
-        Step::Keys => "keys",
-        Step::Cipher => "SM4-GCM",
-        Step::Digest => "SM3",
-        Step::Signature => "SM2",
-        Step::Restore => "restore",
+        if same { Ok(lap) } else { Err(internal("a record did not open to what was sealed")) }
     }
 }
 

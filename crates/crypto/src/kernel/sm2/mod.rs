@@ -8,7 +8,6 @@ mod field;
 mod limbs;
 mod point;
 mod public;
-mod rows;
 mod scalar;
 mod secret;
 #[cfg(target_arch = "x86_64")]

@@ -1,5 +1,6 @@
 //! Points of the SM2 curve y^2 = x^3 - 3 x + b in affine and in Jacobian coordinates. Additions here take a time that
-//! depends on their input: they get only public points and numbers, except `double`, which has no special cases.
+//! depends on their input: they get only public points and numbers, except `double` and `third`, which have no special
+//! cases.
 
 use zeroize::Zeroize;
 
@@ -152,11 +153,17 @@ impl Jacobian {
         if difference == Element::ZERO {
             return self.meeting(slope);
         }
+        Self::third((self.x, self.y), difference, slope, self.z)
+    }
+
+    /// The sum of two points with a common denominator `z`, by the first one's x and y, and how far the other's are away.
+    #[inline(always)]
+    pub fn third((own_x, own_y): (Element, Element), difference: Element, slope: Element, z: Element) -> Self {
         let square = difference.square();
         let cube = square * difference;
-        let middle = self.x * square;
+        let middle = own_x * square;
         let x = slope.square() - cube - middle.double();
-        Self { x, y: slope * (middle - x) - self.y * cube, z: self.z * difference }
+        Self { x, y: slope * (middle - x) - own_y * cube, z: z * difference }
     }
 
     /// The sum with any point, all special cases handled.
@@ -182,11 +189,7 @@ impl Jacobian {
         if difference == Element::ZERO {
             return self.meeting(slope);
         }
-        let square = difference.square();
-        let cube = square * difference;
-        let middle = own_x * square;
-        let x = slope.square() - cube - middle.double();
-        Self { x, y: slope * (middle - x) - own_y * cube, z: self.z * other.z * difference }
+        Self::third((own_x, own_y), difference, slope, self.z * other.z)
     }
 
     /// The sum with a point of the same z but another x, and this point with the sum's z (Meloni 2007).
@@ -232,6 +235,27 @@ pub(super) fn normalized(points: &[Jacobian]) -> Vec<Affine> {
         *out = Affine { x: point.x * square, y: point.y * (square * own) };
     }
     out
+}
+
+/// For each i below `places`: 1 to `most` times 2^(`apart` i) times the point, one row after the other.
+pub(super) fn rows(point: &Affine, places: usize, apart: usize, most: usize) -> Vec<Affine> {
+    let mut first = Vec::with_capacity(places);
+    let mut base = Jacobian::from(*point);
+    for _ in 0..places {
+        first.push(base);
+        for _ in 0..apart {
+            base = base.double();
+        }
+    }
+    let mut all = Vec::with_capacity(places * most);
+    for base in normalized(&first) {
+        let mut multiple = Jacobian::from(base);
+        for _ in 0..most {
+            all.push(multiple);
+            multiple = multiple.plus_affine(&base);
+        }
+    }
+    normalized(&all)
 }
 
 /// Whether `number` is greater than `limit`; both are public.

@@ -4,8 +4,7 @@
 use std::sync::OnceLock;
 
 use super::limbs::{self, Limbs};
-use super::point::{Affine, GENERATOR, Jacobian, Summand, is_above};
-use super::rows::rows;
+use super::point::{Affine, GENERATOR, Jacobian, Summand, is_above, rows};
 use super::scalar::{HALF, ORDER, Scalar, digit, digits};
 
 /// Bits per digit of the generator's factor.

@@ -8,8 +8,7 @@ use zeroize::{Zeroize as _, Zeroizing};
 use super::complete::{self, Point};
 use super::field::Element;
 use super::limbs;
-use super::point::{Affine, GENERATOR, Jacobian};
-use super::rows::rows;
+use super::point::{Affine, GENERATOR, Jacobian, rows};
 use super::scalar::{Digit, Scalar, digit, digits};
 
 /// Bits per digit of the generator's factor.
@@ -96,11 +95,7 @@ fn sum_of_different(one: &Jacobian, other: &Jacobian) -> Jacobian {
     let own_y = one.y * (other_z2 * other.z);
     let difference = other.x * z2 - own_x;
     let slope = other.y * (z2 * one.z) - own_y;
-    let square = difference.square();
-    let cube = square * difference;
-    let middle = own_x * square;
-    let x = slope.square() - cube - middle.double();
-    Jacobian { x, y: slope * (middle - x) - own_y * cube, z: one.z * other.z * difference }
+    Jacobian::third((own_x, own_y), difference, slope, one.z * other.z)
 }
 
 /// k times a point, in the same time for every k; k is 1 to n - 1.

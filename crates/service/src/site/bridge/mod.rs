@@ -2,8 +2,6 @@
 
 mod feed;
 mod play;
-mod second;
-mod stage;
 mod target;
 
 use std::collections::HashMap;
@@ -26,9 +24,7 @@ use crate::site::capture::ros::RosSide;
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
 
-use second::Domain;
-use stage::Stage;
-use target::Target;
+use target::{Domain, Stage, Target};
 
 const NODE: &str = "/authros_play_";
 

@@ -9,8 +9,7 @@ use tokio::task::block_in_place;
 mod rights;
 
 use super::feed::{Feed, Item};
-use super::second::offer;
-use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target};
+use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target, offer};
 use super::{Bridge, Givers, Names, consistent, subject};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{CryptoError, OpenedRecord};

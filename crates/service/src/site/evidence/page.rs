@@ -1,6 +1,12 @@
 //! `report.html` of a bundle: page one in the sentences of the verdict, then what is disclosed, then tables. It proves
 //! nothing and says so; no scripts, no requests, every text cleaned and escaped.
 
+macro_rules! put {
+    ($out:expr, $($text:tt)+) => {
+        put($out, format_args!($($text)+))
+    };
+}
+
 mod figures;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -53,12 +59,12 @@ fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str
     out.push_str("<tr>");
     // The name of a field may be broken behind its dots.
     let shown = |text: &str| if cell == "th" { escape(text).replace('.', ".<wbr>") } else { escape(text) };
-    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", shown(text))));
+    cells.into_iter().for_each(|text| put!(out, "<{cell}>{}</{cell}>", shown(text)));
     out.push_str("</tr>\n");
 }
 
 fn table(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
-    put(out, format_args!("<table class=\"{class}\">\n"));
+    put!(out, "<table class=\"{class}\">\n");
     if !head.is_empty() {
         out.push_str("<thead>");
         row(out, "th", head.iter().copied());
@@ -119,8 +125,8 @@ fn first_page(out: &mut String, report: &Report, about: Option<&IncidentView>) {
     );
     let (outcome, sentences) =
         report.verdict.split_first().map_or(("", &[][..]), |(first, rest)| (first.as_str(), rest));
-    put(out, format_args!("<p class=\"outcome\">{}</p>\n<ul>\n", escape(outcome)));
-    sentences.iter().for_each(|sentence| put(out, format_args!("<li>{}</li>\n", escape(sentence))));
+    put!(out, "<p class=\"outcome\">{}</p>\n<ul>\n", escape(outcome));
+    sentences.iter().for_each(|sentence| put!(out, "<li>{}</li>\n", escape(sentence)));
     out.push_str(
         "</ul>\n<p class=\"small\">The levels mean: (a) the bytes are intact and signed; (b) the key was its owner's at the anchoring \
          block; (c) anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure; (f) which \
@@ -161,10 +167,7 @@ fn disclosed(out: &mut String, bundle: &Bundle, report: &Report, notes: &[Timest
     timeline(out, &times.collect::<Vec<_>>(), notes);
     for (place, (topic, records)) in topics.iter().enumerate() {
         if place == MOST_TOPICS || out.len() > LONGEST {
-            put(
-                out,
-                format_args!("<p>and {}, not shown here</p>\n", counted((topics.len() - place) as u64, "more topic")),
-            );
+            put!(out, "<p>and {}, not shown here</p>\n", counted((topics.len() - place) as u64, "more topic"));
             return;
         }
         one_topic(out, (bundle, report), topic, records);
@@ -184,7 +187,7 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     let types: BTreeSet<&str> = opened().map(|disclosed| disclosed.type_name.as_str()).collect();
     let publishers: BTreeSet<&str> = opened().map(|disclosed| disclosed.publisher.as_str()).take(MOST_ROWS).collect();
     let types = types.into_iter().collect::<Vec<_>>().join(", ");
-    put(out, format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(topic), escape(&types)));
+    put!(out, "<section>\n<h3>{} <code>{}</code></h3>\n", escape(topic), escape(&types));
     let times = || records.iter().filter_map(|record| record.captured_at);
     let span = times()
         .min()
@@ -202,7 +205,7 @@ fn one_topic(out: &mut String, (bundle, report): (&Bundle, &Report), topic: &str
     drawn.put(out);
     if let Some(first) = records.first() {
         let (digest, number) = (short(&first.digest.to_hex()), grouped(first.seq.unwrap_or_default()));
-        put(out, format_args!("<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n"));
+        put!(out, "<h4>The first of them in full: no. {number}, <code>{digest}</code></h4>\n");
         let tags = first.disclosed.iter().flat_map(|disclosed| &disclosed.tags);
         let tags: Vec<_> = tags.map(|(name, value)| fact(format!("Tag {name}"), &**value)).collect();
         if !tags.is_empty() {
@@ -278,10 +281,7 @@ impl Drawn {
             for (at, png) in &self.pictures {
                 let uri = data_uri(png);
                 let when = moment(*at);
-                put(
-                    out,
-                    format_args!("<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when} UTC</p></figure>\n"),
-                );
+                put!(out, "<figure><img alt=\"a picture, reduced\" src=\"{uri}\"><p>{when} UTC</p></figure>\n");
             }
             out.push_str("</div>\n");
         }
@@ -347,7 +347,7 @@ fn records(out: &mut String, report: &Report, listed: &[&RecordReport]) {
     );
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
         let text = "more records; <code>authros evidence verify FILE.authros --records</code> lists all of them";
-        put(out, format_args!("<p>and {} {text}</p>\n", count(more)));
+        put!(out, "<p>and {} {text}</p>\n", count(more));
     }
 }
 
@@ -397,11 +397,11 @@ fn appendix(out: &mut String, bundle: &Bundle, report: &Report, listed: &[&Recor
         ],
     );
     out.push_str("<ul>\n");
-    report.warnings.iter().for_each(|text| put(out, format_args!("<li>{}</li>\n", escape(text))));
+    report.warnings.iter().for_each(|text| put!(out, "<li>{}</li>\n", escape(text)));
     out.push_str("</ul>\n<h3>Digests (SM3) in full, in the order of the table</h3>\n<p class=\"digests\">");
-    listed.iter().for_each(|record| put(out, format_args!("<code>{}</code>\n", record.digest)));
+    listed.iter().for_each(|record| put!(out, "<code>{}</code>\n", record.digest));
     let by_hand: String = authros_evidence::READ_ME_TEXT.lines().map(|line| escape(line) + "\n").collect();
-    put(out, format_args!("</p>\n<h3>Check it manually</h3>\n<pre>{by_hand}</pre>\n"));
+    put!(out, "</p>\n<h3>Check it manually</h3>\n<pre>{by_hand}</pre>\n");
 }
 
 /// The one that the head names, or one with the type's hash, stored or built in.
@@ -438,7 +438,7 @@ fn easy(out: &mut String, readable: &Readable) {
     let lines: Vec<_> = readable.lines.iter().map(|(label, value)| fact(&**label, &**value)).collect();
     facts(out, &lines);
     for shown in &readable.tables {
-        put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&shown.title)));
+        put!(out, "<p class=\"title\">{}</p>\n", escape(&shown.title));
         let head: Vec<&str> = shown.head.iter().map(String::as_str).collect();
         table(out, "plain", &head, &shown.rows);
     }
@@ -446,7 +446,7 @@ fn easy(out: &mut String, readable: &Readable) {
         plot(out, shown);
     }
     if let Some(png) = readable.picture.as_ref().and_then(|raster| raster.png().ok()) {
-        put(out, format_args!("<p><img alt=\"the picture, reduced\" src=\"{}\"></p>\n", data_uri(&png)));
+        put!(out, "<p><img alt=\"the picture, reduced\" src=\"{}\"></p>\n", data_uri(&png));
     }
 }
 

@@ -73,7 +73,7 @@ impl Frame {
     fn axes(&self, out: &mut String, axes: &(String, String)) {
         let (right, base, under, beside) = (WIDTH - EDGE, HEIGHT - FOOT, HEIGHT - FOOT + 16.0, LEFT - 6.0);
         let corner = format!("{LEFT},{EDGE} {LEFT},{base} {right},{base}");
-        put(out, format_args!("<polyline class=\"axis\" points=\"{corner}\"/>\n"));
+        put!(out, "<polyline class=\"axis\" points=\"{corner}\"/>\n");
         for (place, anchor, text) in [
             ((LEFT, under), "start", figure(self.x.0)),
             ((right, under), "end", figure(self.x.1)),
@@ -89,11 +89,11 @@ impl Frame {
 
 fn label(out: &mut String, (across, down): (f64, f64), anchor: &str, text: &str) {
     let text = escape(text);
-    put(out, format_args!("<text x=\"{across:.1}\" y=\"{down:.1}\" text-anchor=\"{anchor}\">{text}</text>\n"));
+    put!(out, "<text x=\"{across:.1}\" y=\"{down:.1}\" text-anchor=\"{anchor}\">{text}</text>\n");
 }
 
 fn circle(out: &mut String, (across, down): (f64, f64), class: &str, radius: f64) {
-    put(out, format_args!("<circle cx=\"{across:.1}\" cy=\"{down:.1}\" r=\"{radius}\" class=\"{class}\"/>\n"));
+    put!(out, "<circle cx=\"{across:.1}\" cy=\"{down:.1}\" r=\"{radius}\" class=\"{class}\"/>\n");
 }
 
 pub(super) fn plot(out: &mut String, plot: &Plot) {
@@ -105,13 +105,13 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
         return;
     }
     let frame = Frame::of(&all, &plot.axes);
-    put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&plot.title)));
-    put(out, format_args!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n"));
+    put!(out, "<p class=\"title\">{}</p>\n", escape(&plot.title));
+    put!(out, "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n");
     frame.axes(out, &plot.axes);
     let places: Vec<(f64, f64)> = points.iter().map(|point| frame.place(*point)).collect();
     if plot.path {
         let path: Vec<String> = places.iter().map(|(across, down)| format!("{across:.1},{down:.1}")).collect();
-        put(out, format_args!("<polyline fill=\"none\" class=\"line\" points=\"{}\"/>\n", path.join(" ")));
+        put!(out, "<polyline fill=\"none\" class=\"line\" points=\"{}\"/>\n", path.join(" "));
     } else {
         places.iter().for_each(|place| circle(out, *place, "dot", 1.2));
     }
@@ -142,13 +142,11 @@ pub(super) fn timeline(out: &mut String, topics: &[(String, Vec<Timestamp>)], no
     let (width, height) = (LABEL + PIECES * PIECE + SIDE, ROW * topics.len() as u64 + ROW);
     let noted: Vec<Timestamp> = notes.iter().copied().filter(|at| (first..=last).contains(at)).collect();
     let legend = if noted.is_empty() { "" } else { "; a line marks a note" };
-    put(
+    put!(
         out,
-        format_args!(
-            "<p class=\"title\">Timeline: disclosed records by time of capture, as their owner claims it{legend}</p>\n"
-        ),
+        "<p class=\"title\">Timeline: disclosed records by time of capture, as their owner claims it{legend}</p>\n"
     );
-    put(out, format_args!("<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\">\n"));
+    put!(out, "<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\">\n");
     for (row, (name, times)) in (0..).zip(topics) {
         let mut counts = vec![0_u64; usize::try_from(PIECES).unwrap_or_default()];
         for time in times {
@@ -157,23 +155,20 @@ pub(super) fn timeline(out: &mut String, topics: &[(String, Vec<Timestamp>)], no
             }
         }
         let (most, base) = (counts.iter().copied().max().unwrap_or(1).max(1), ROW * (row + 1));
-        put(out, format_args!("<text x=\"{SIDE}\" y=\"{}\">{}</text>\n", base - 5, escape(name)));
+        put!(out, "<text x=\"{SIDE}\" y=\"{}\">{}</text>\n", base - 5, escape(name));
         for (piece, count) in (0_u64..).zip(counts).filter(|(_, count)| *count > 0) {
             let (x, tall) = (LABEL + piece * PIECE, (count * (ROW - 4) / most).max(2));
             let y = base - tall;
-            put(
-                out,
-                format_args!("<rect class=\"bar\" x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{tall}\"/>\n", PIECE - 1),
-            );
+            put!(out, "<rect class=\"bar\" x=\"{x}\" y=\"{y}\" width=\"{}\" height=\"{tall}\"/>\n", PIECE - 1);
         }
     }
     for at in noted {
         let x = u128::from(LABEL) + piece_of(at) * u128::from(PIECE) + 2;
-        put(out, format_args!("<line class=\"note\" x1=\"{x}\" x2=\"{x}\" y1=\"0\" y2=\"{}\"/>\n", height - ROW));
+        put!(out, "<line class=\"note\" x1=\"{x}\" x2=\"{x}\" y1=\"0\" y2=\"{}\"/>\n", height - ROW);
     }
     let (base, end) = (height - 7, width - SIDE);
-    put(out, format_args!("<text x=\"{LABEL}\" y=\"{base}\">{}</text>\n", first.in_utc()));
-    put(out, format_args!("<text x=\"{end}\" y=\"{base}\" text-anchor=\"end\">{}</text>\n</svg>\n", last.clock()));
+    put!(out, "<text x=\"{LABEL}\" y=\"{base}\">{}</text>\n", first.in_utc());
+    put!(out, "<text x=\"{end}\" y=\"{base}\" text-anchor=\"end\">{}</text>\n</svg>\n", last.clock());
 }
 
 /// A field over time.
