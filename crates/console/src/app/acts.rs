@@ -230,8 +230,14 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             said(state, tag, ask::WatchTopic::heard(result), |()| format!("the rule of {topic} is set"))
         }
         Tag::Foresee(_) => grant::answered(state, tag, ask::ForeseeGrant::heard(result)),
-        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
-        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
+        Tag::Grant(_) => {
+            let times = state.times();
+            said(state, tag, ask::Grant::heard(result), |view| view.words(&times));
+        }
+        Tag::Extend(_) => {
+            let times = state.times();
+            said(state, tag, ask::ExtendGrant::heard(result), |view| view.words(&times));
+        }
         Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
         Tag::Rotate => said(state, tag, ask::RotateKeys::heard(result), |view| view.text),
         Tag::Administer(_) => said(state, tag, ask::Administer::heard(result), |view| view.text),
