@@ -151,9 +151,8 @@ pub enum Verb {
     /// Candidates for a word of a command line; used by the completion scripts
     #[command(hide = true)]
     Complete {
-        /// Kind of word
-        #[arg(value_enum)]
-        what: super::complete::Word,
+        /// Kind of word: topic, contact, record or profile
+        what: crate::service::completing::Completed,
         /// First characters of the word
         #[arg(default_value = "", allow_hyphen_values = true)]
         begun: String,

@@ -2,71 +2,45 @@
 
 use std::fmt::Write as _;
 
-use clap::ValueEnum;
 use clap_complete::Shell;
 
 use super::args::Global;
 use crate::paths::Home;
 use crate::service::completing::{self, Completed};
 
-/// A kind of word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Word {
-    /// A topic that has records
-    Topic,
-    /// A name from the address book
-    Contact,
-    /// A record's id
-    Record,
-    /// A profile of the home
-    Profile,
-}
-
-impl Word {
-    fn name(self) -> String {
-        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
-    }
-}
-
 /// Commands, and the kind of their first argument.
-const COMMANDS: &[(&str, Word)] = &[
-    ("topics watch", Word::Topic),
-    ("topics unwatch", Word::Topic),
-    ("topics pin", Word::Topic),
-    ("topics unpin", Word::Topic),
-    ("topics coverage", Word::Topic),
-    ("grant add", Word::Contact),
-    ("grant end", Word::Contact),
-    ("grant extend", Word::Contact),
-    ("contacts remove", Word::Contact),
-    ("contacts confirm", Word::Contact),
-    ("records show", Word::Record),
-    ("records export", Word::Record),
-    ("records check", Word::Record),
-    ("records open", Word::Record),
-    ("records path", Word::Record),
+const COMMANDS: &[(&str, Completed)] = &[
+    ("topics watch", Completed::Topic),
+    ("topics unwatch", Completed::Topic),
+    ("topics pin", Completed::Topic),
+    ("topics unpin", Completed::Topic),
+    ("topics coverage", Completed::Topic),
+    ("grant add", Completed::Contact),
+    ("grant end", Completed::Contact),
+    ("grant extend", Completed::Contact),
+    ("contacts remove", Completed::Contact),
+    ("contacts confirm", Completed::Contact),
+    ("records show", Completed::Record),
+    ("records export", Completed::Record),
+    ("records check", Completed::Record),
+    ("records open", Completed::Record),
+    ("records path", Completed::Record),
 ];
 
 /// Options of every command, and the kind of their value.
-const OPTIONS: &[(&str, Word)] = &[
-    ("topic", Word::Topic),
-    ("reveal-topic", Word::Topic),
-    ("owner", Word::Contact),
-    ("to", Word::Contact),
-    ("account", Word::Contact),
-    ("profile", Word::Profile),
+const OPTIONS: &[(&str, Completed)] = &[
+    ("topic", Completed::Topic),
+    ("reveal-topic", Completed::Topic),
+    ("owner", Completed::Contact),
+    ("to", Completed::Contact),
+    ("account", Completed::Contact),
+    ("profile", Completed::Profile),
 ];
 
-pub fn candidates(global: &Global, what: Word, begun: &str) -> String {
+pub fn candidates(global: &Global, what: Completed, begun: &str) -> String {
     let home = global.home.clone().map_or_else(Home::standard, |root| Ok(Home::new(root)));
     let Ok(home) = home else { return String::new() };
-    let kind = match what {
-        Word::Topic => Completed::Topic,
-        Word::Contact => Completed::Contact,
-        Word::Record => Completed::Record,
-        Word::Profile => Completed::Profile,
-    };
-    completing::words(&home, kind, begun).into_iter().map(|word| word + "\n").collect()
+    completing::words(&home, what, begun).into_iter().map(|word| word + "\n").collect()
 }
 
 pub fn with_words(shell: Shell, script: String) -> String {
@@ -83,14 +57,18 @@ pub fn with_words(shell: Shell, script: String) -> String {
     }
 }
 
+fn name(word: Completed) -> &'static str {
+    word.into()
+}
+
 fn cases() -> String {
     let mut text = String::new();
     for (option, word) in OPTIONS {
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "        *\" --{option} \") what={} ;;", word.name());
+        let _ = writeln!(text, "        *\" --{option} \") what={} ;;", name(*word));
     }
     for (path, word) in COMMANDS {
-        let _ = writeln!(text, "        \" {path} \") what={} ;;", word.name());
+        let _ = writeln!(text, "        \" {path} \") what={} ;;", name(*word));
     }
     text
 }
@@ -137,7 +115,7 @@ LOOP        local -a found
 "#;
 
 fn fish() -> String {
-    let ask = |word: Word| format!("(authros complete {} (commandline -ct) 2>/dev/null)", word.name());
+    let ask = |word| format!("(authros complete {} (commandline -ct) 2>/dev/null)", name(word));
     let mut text = String::new();
     for (path, word) in COMMANDS {
         let seen: Vec<String> = path.split(' ').map(|verb| format!("__fish_seen_subcommand_from {verb}")).collect();

@@ -1,9 +1,11 @@
 //! `topics coverage`: when there are own records of topics, of all or of one robot, as strips of signs.
 
+use std::time::Duration;
+
 use clap::Args;
 
 use super::{parse, show::or_dash};
-use crate::model::{Timestamp, counted};
+use crate::model::{Timestamp, coarse, counted};
 use crate::service::reply::{CoveragePart, CoverageView, coverage_legend};
 use crate::service::{Failure, command::TopicCoverage};
 use authros_output::{Output, table};
@@ -109,13 +111,8 @@ fn seconds(moment: Timestamp) -> String {
 
 fn length(view: &CoverageView) -> String {
     let parts = (view.parts.len() as u64).max(1);
-    match view.until.0.saturating_sub(view.since.0) / parts / 1_000_000_000 {
-        0 => "under 1 s".to_owned(),
-        under @ 1..120 => format!("{under} s"),
-        under @ 120..7_200 => format!("{} min", under / 60),
-        under @ 7_200..172_800 => format!("{} h", under / 3_600),
-        long => format!("{} d", long / 86_400),
-    }
+    let part = Duration::from_nanos(view.until.0.saturating_sub(view.since.0) / parts);
+    if part.as_secs() == 0 { "under 1 s".to_owned() } else { coarse(part) }
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand};
 use super::connect::{Context, ProfileNeed};
 use super::{args::Global, check, parse, plan::CHAIN};
 use crate::crypto::{ProviderName, provider};
-use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines, counted, grouped};
+use crate::model::{Digest, ErrorKind, TopicPattern, clean, clean_lines, counted, grouped, natural};
 use crate::ros::Limits;
 use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
@@ -364,6 +364,10 @@ fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
     std::iter::once(who).chain(when).chain([levels]).collect()
 }
 
+fn topic(record: &RecordReport) -> &str {
+    record.disclosed.as_ref().map_or("", |disclosed| &disclosed.topic)
+}
+
 fn text(bundle: &Bundle, report: &Report, detail: Detail) -> String {
     let mut lines = report.lines();
     if detail == Detail::Verdict {
@@ -372,8 +376,8 @@ fn text(bundle: &Bundle, report: &Report, detail: Detail) -> String {
     let mut limits = Limits::default();
     lines.push(String::new());
     let mut records: Vec<&RecordReport> = report.records.iter().collect();
-    let topic = |record: &RecordReport| record.disclosed.as_ref().map(|disclosed| disclosed.topic.clone());
-    records.sort_by_cached_key(|record| (topic(record), record.topic_id, record.captured_at, record.seq));
+    records.sort_by_key(|record| (record.topic_id, record.captured_at, record.seq));
+    records.sort_by(|one, other| natural(topic(one), topic(other)));
     for record in records {
         let briefly = detail == Detail::Records && is_whole(record);
         lines.extend(about(record, briefly));

@@ -111,7 +111,11 @@ pub fn status(view: &GatewayStatusView) -> String {
         )
     }));
     lines.extend(view.senders.iter().map(|sender| {
-        let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));
+        let place = match &sender.peer {
+            Some(peer) => clean(peer, 60),
+            None if sender.revoked => "revoked".to_owned(),
+            None => "not connected".to_owned(),
+        };
         let (frames, bytes) = (counted(sender.frames, "frame"), counted(sender.bytes, "byte"));
         format!("{}  {}  {place}  {frames}, {bytes}", sender.name, sender.account)
     }));

@@ -13,7 +13,7 @@ use crate::app::{Keymap, Settings, keymap};
 use crate::model::{ErrorKind, Timestamp, clean};
 use crate::service::{Client, Failure, command::RecordingProgress, failure::input};
 use crate::ui::{Themes, theme};
-use crate::{app::history::Progress, config::DEFINITIONS, paths::Home, term::ConsoleOptions};
+use crate::{app::history::Progress, config::DEFINITIONS, config::Definition, paths::Home, term::ConsoleOptions};
 
 pub fn asked_for(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
@@ -35,33 +35,24 @@ fn config() -> String {
     let mut text = "# Settings of AuthROS. Precedence: option, then environment, then this file (config.toml).\n# \
                     Without any settings everything is embedded. Remove the # from what you set.\n"
         .to_owned();
-    let mut tables: Vec<&str> = Vec::new();
-    let plain = DEFINITIONS.iter().filter(|definition| !definition.name.contains('.'));
-    let named = DEFINITIONS.iter().filter(|definition| definition.name.contains('.'));
-    for definition in plain.chain(named) {
-        let (table, key) = definition.name.split_once('.').unwrap_or(("", definition.name));
-        if !table.is_empty() && !tables.contains(&table) {
+    let place = |definition: &Definition| definition.name.split_once('.').unwrap_or(("", definition.name));
+    // Those without a table come first.
+    let mut tables = vec![""];
+    for (table, _) in DEFINITIONS.iter().map(place) {
+        if !tables.contains(&table) {
             tables.push(table);
-        }
-        if table.is_empty() {
-            setting(&mut text, key, definition.default, definition.text, definition.variable);
         }
     }
     for table in tables {
         // Writing to a string cannot fail.
-        let _ = write!(text, "\n[{table}]");
-        for definition in DEFINITIONS {
-            if let Some((_, key)) = definition.name.split_once('.').filter(|(name, _)| *name == table) {
-                setting(&mut text, key, definition.default, definition.text, definition.variable);
-            }
+        let _ = if table.is_empty() { Ok(()) } else { write!(text, "\n[{table}]") };
+        for definition in DEFINITIONS.iter().filter(|definition| place(definition).0 == table) {
+            let Definition { variable, default, text: help, .. } = definition;
+            let (key, value) = (place(definition).1, toml::Value::String((*default).to_owned()));
+            let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
         }
     }
     text
-}
-
-fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &str) {
-    let value = toml::Value::String(default.to_owned());
-    let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
 }
 
 pub fn completions(shell: clap_complete::Shell) -> String {

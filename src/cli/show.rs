@@ -8,7 +8,7 @@ use super::{
 };
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::{Client, Failure, failure::input, reply};
-use crate::{crypto::private_file, model::ErrorKind};
+use crate::{crypto::private_file, model::Clock, model::ErrorKind};
 use authros_output::Output;
 
 pub fn yes(value: bool) -> String {
@@ -90,7 +90,7 @@ documents! {
     reply::KeysView => keys::list;
     reply::RecordPage => records::page;
     reply::Provenance => records::provenance;
-    reply::TransactionView => |view| view.text.clone();
+    reply::TransactionView => |view| view.words(&Clock::system());
     Box<reply::ChainView> => |view| chain::status(view);
     Box<reply::AdministrationView> => |view| parties::successions(view);
     reply::DeployedView => chain::deployed;

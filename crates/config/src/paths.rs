@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use directories::ProjectDirs;
 
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::{ErrorKind, ProfileName, natural};
 
 const FOLDER: &str = "authros";
 /// The home if neither `HOME` nor `XDG_DATA_HOME` is set.
@@ -160,7 +160,7 @@ impl Home {
             .filter(|entry| entry.path().join("keyring").exists())
             .filter_map(|entry| entry.file_name().to_str().and_then(|name| name.parse().ok()))
             .collect();
-        names.sort();
+        names.sort_by(|one, other| natural(one.as_str(), other.as_str()));
         names
     }
 }

@@ -1,6 +1,7 @@
 //! The only sanitiser: every untrusted text passes through it before screen, log or JSON.
 
 use std::borrow::Cow;
+use std::cmp::Ordering;
 
 use unicode_width::UnicodeWidthChar;
 
@@ -121,6 +122,39 @@ pub fn is_shown(character: char) -> bool {
             | '\u{1d173}'..='\u{1d17a}' | '\u{e0000}'..='\u{e0fff}'))
 }
 
+/// The order of names for people: digits by their number, so `scout-2` is before `scout-10`, all else as it is. The
+/// topics of a robot stay together.
+pub fn natural(one: &str, other: &str) -> Ordering {
+    let (mut one, mut other) = (one.as_bytes(), other.as_bytes());
+    loop {
+        let (Some(first), Some(second)) = (one.first(), other.first()) else { return one.len().cmp(&other.len()) };
+        let ((whole, digits), (other_whole, other_digits)) = (number(one), number(other));
+        if whole > 0 && other_whole > 0 {
+            let by_value = digits.len().cmp(&other_digits.len()).then_with(|| digits.cmp(other_digits));
+            // Leading zeros decide last, but before what follows.
+            match by_value.then(whole.cmp(&other_whole)) {
+                Ordering::Equal => (one, other) = (rest(one, whole), rest(other, other_whole)),
+                decided => return decided,
+            }
+        } else if first == second {
+            (one, other) = (rest(one, 1), rest(other, 1));
+        } else {
+            return first.cmp(second);
+        }
+    }
+}
+
+fn rest(text: &[u8], from: usize) -> &[u8] {
+    text.get(from..).unwrap_or_default()
+}
+
+/// The length of the number at the beginning, and its digits without leading zeros.
+fn number(text: &[u8]) -> (usize, &[u8]) {
+    let whole = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let zeros = text.iter().take(whole).take_while(|byte| **byte == b'0').count();
+    (whole, text.get(zeros..whole).unwrap_or_default())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -157,6 +191,30 @@ mod tests {
         assert_eq!(["batch", "hash", "loss"].map(|one| counted(1, one)), ["1 batch", "1 hash", "1 loss"]);
         assert_eq!(["batch", "hash", "loss"].map(|one| counted(2, one)), ["2 batches", "2 hashes", "2 losses"]);
         assert_eq!(counted(2, "new epoch"), "2 new epochs");
+    }
+
+    #[test]
+    fn names_are_in_the_order_of_their_numbers_and_a_robots_topics_stay_together() {
+        let sorted = [
+            "/a",
+            "/robot1/a",
+            "/robot1/b",
+            "/robot01/a",
+            "/robot01/b",
+            "/robot2/a",
+            "/robot10/a",
+            "/robot10/a1",
+            "/s",
+            "scout-2",
+            "scout-10",
+            "scout-99999999999999999999",
+            "scout-100000000000000000000",
+        ];
+        for (one, left) in sorted.iter().enumerate() {
+            for (two, right) in sorted.iter().enumerate() {
+                assert_eq!(natural(left, right), one.cmp(&two), "{left} {right}");
+            }
+        }
     }
 
     #[test]

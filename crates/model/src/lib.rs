@@ -29,7 +29,8 @@ pub use crate::bytes::{
 };
 pub use crate::consensus::{AnchorMode, AuditHead, Consensus};
 pub use crate::display::{
-    address_without_secrets, clean, clean_lines, columns, counted, grouped, is_shown, spelt_out, without_secrets,
+    address_without_secrets, clean, clean_lines, columns, counted, grouped, is_shown, natural, spelt_out,
+    without_secrets,
 };
 pub use crate::gap::{GapReport, LossReason, QuarantineReport};
 pub use crate::grant::{GrantTerms, Scope};

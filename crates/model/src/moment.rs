@@ -96,6 +96,11 @@ impl Clock {
         }
     }
 
+    /// A text that names these times in UTC, with the reader's time before each.
+    pub fn explained(&self, text: &str, times: &[Timestamp]) -> String {
+        times.iter().fold(text.to_owned(), |text, time| text.replace(&time.in_utc(), &self.meaning(*time)))
+    }
+
     /// Whether a text says all of it, so that nothing is to be explained.
     pub fn is_absolute(text: &str) -> bool {
         OffsetDateTime::parse(text.trim(), &Rfc3339).is_ok()

@@ -74,6 +74,11 @@ impl Account {
         self.suspensions.iter().find(holds).copied()
     }
 
+    /// The block in which a device was revoked; a later loan is valid again.
+    pub fn recalled(&self, device: SignerId) -> Option<u64> {
+        self.devices.iter().rfind(|loan| loan.device == device)?.recalled
+    }
+
     fn suspend(&mut self, block: u64, successor: Option<Address>) {
         match self.suspensions.last_mut().filter(|interval| interval.until.is_none()) {
             Some(interval) => interval.successor = successor.or(interval.successor),

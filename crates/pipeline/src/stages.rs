@@ -1,6 +1,7 @@
 //! Times from capture to each milestone, and how busy each stage is: counters that cost a few atomic additions a round.
 
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use strum::IntoStaticStr;
@@ -55,8 +56,33 @@ impl Stage {
     }
 }
 
+/// A larger change of time of day against elapsed time means that somebody set the clock, nanoseconds.
+const SET: i128 = 1_000_000_000;
+
+/// Notices that the machine's clock was set: times of day from before and after cannot be compared.
+#[derive(Debug, Default)]
+struct ClockSettings {
+    /// Time of day minus elapsed time at the last look, nanoseconds.
+    offset: Option<i128>,
+    /// By the clock as it is now, when it was last set.
+    noticed: Timestamp,
+}
+
+impl ClockSettings {
+    /// The earliest time of day that may be subtracted from `now`; `passed`: time since a fixed moment.
+    fn comparable_since(&mut self, now: Timestamp, passed: Duration) -> Timestamp {
+        let offset = i128::from(now.0) - i128::try_from(passed.as_nanos()).unwrap_or(i128::MAX);
+        if self.offset.replace(offset).is_some_and(|before| (offset - before).abs() > SET) {
+            self.noticed = now;
+        }
+        self.noticed
+    }
+}
+
 #[derive(Debug)]
 pub struct Stages {
+    begun: Instant,
+    clock: Mutex<ClockSettings>,
     reached: [[AtomicU64; BUCKETS]; Milestone::ALL.len()],
     busy: [AtomicU64; Stage::ALL.len()],
 }
@@ -64,15 +90,32 @@ pub struct Stages {
 impl Default for Stages {
     fn default() -> Self {
         let zero = |_: usize| AtomicU64::new(0);
-        Self { reached: std::array::from_fn(|_| std::array::from_fn(zero)), busy: std::array::from_fn(zero) }
+        let (begun, clock) = (Instant::now(), Mutex::default());
+        Self {
+            begun,
+            clock,
+            reached: std::array::from_fn(|_| std::array::from_fn(zero)),
+            busy: std::array::from_fn(zero),
+        }
     }
 }
 
 impl Stages {
     pub fn reached(&self, milestone: Milestone, captured: impl IntoIterator<Item = Timestamp>) {
-        let now = Timestamp::now();
-        for captured in captured {
-            let microseconds = now.0.saturating_sub(captured.0) / 1_000;
+        self.reached_at(milestone, captured, Timestamp::now(), self.begun.elapsed());
+    }
+
+    /// Leaves out messages whose time is unknown, because the clock was set since their capture.
+    fn reached_at(
+        &self,
+        milestone: Milestone,
+        captured: impl IntoIterator<Item = Timestamp>,
+        now: Timestamp,
+        passed: Duration,
+    ) {
+        let since = self.clock.lock().unwrap_or_else(PoisonError::into_inner).comparable_since(now, passed);
+        for captured in captured.into_iter().filter(|captured| (since..=now).contains(captured)) {
+            let microseconds = (now.0 - captured.0) / 1_000;
             self.reached[milestone as usize][bucket(microseconds)].fetch_add(1, Ordering::Relaxed);
         }
     }
@@ -170,6 +213,25 @@ mod tests {
         assert!((40..=41).contains(&within[0]) && (82..=83).contains(&within[1]), "{within:?}");
         assert!((505.0..590.0).contains(&seconds), "{seconds}");
         assert_eq!(stages.within_powers(Milestone::Verified, &[22]).1, 0);
+    }
+
+    #[test]
+    fn messages_captured_before_the_clock_was_set_are_left_out() {
+        const DAY: u64 = 86_400;
+        let stages = Stages::default();
+        // Seconds of the day's clock at capture and at the milestone, and elapsed ones.
+        let reached = |captured: u64, now: u64, passed: u64| {
+            let captured = [Timestamp::from_seconds(captured)];
+            stages.reached_at(Milestone::Verified, captured, Timestamp::from_seconds(now), Duration::from_secs(passed));
+            (stages.count_of(Milestone::Verified), stages.within(Milestone::Verified, 100).map(|time| time.as_secs()))
+        };
+        assert_eq!(reached(10 * DAY, 10 * DAY + 1, 1), (1, Some(1)));
+        assert_eq!(reached(10 * DAY, 12 * DAY + 2, 2), (1, Some(1)), "set two days ahead");
+        assert_eq!(reached(12 * DAY + 3, 12 * DAY + 4, 4), (2, Some(1)), "both by the new time");
+        assert_eq!(reached(12 * DAY + 4, 10 * DAY + 5, 5), (2, Some(1)), "set back");
+        assert_eq!(reached(12 * DAY + 4, 10 * DAY + 6, 6), (2, Some(1)), "captured in a future that is over");
+        assert_eq!(reached(10 * DAY + 6, 10 * DAY + 7, 7), (3, Some(1)));
+        assert_eq!(reached(10 * DAY + 7, 10 * DAY + 7 + DAY, 7 + DAY).0, 4, "a day offline is true");
     }
 
     #[test]

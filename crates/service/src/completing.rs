@@ -7,7 +7,10 @@ use crate::store::Glance;
 use crate::store::notes::AddressBook;
 
 const MOST: usize = 200;
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+
+/// A kind of word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Completed {
     /// A topic with records.
     Topic,

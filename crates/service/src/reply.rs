@@ -263,6 +263,8 @@ pub struct SenderView {
     /// N.
     pub name: ProfileName,
     pub account: Address,
+    /// Its owner revoked the device: it can no longer connect.
+    pub revoked: bool,
     /// Current sessions.
     pub sessions: u64,
     /// Remote address of the newest.

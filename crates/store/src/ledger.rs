@@ -38,7 +38,7 @@ pub use self::directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, Standi
 pub use self::durability::Durability;
 pub use self::erasures::{Erasure, ErasurePage, KeptErasure, StatedErasure, TakenErased, ToldErased, Unstated};
 pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};
-pub use self::forwarding::{ForwardedPage, KeptBinding, KeptReceipt};
+pub use self::forwarding::{BoundName, ForwardedPage, KeptBinding, KeptReceipt};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
 pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};

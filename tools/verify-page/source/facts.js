@@ -139,6 +139,7 @@ export function factsOf(report) {
     late_capture: records.some((one) => one.secondsToAnchor < 0n),
     foreign_instructions: context.foreignInstructions,
     levels: levelsIn(report),
+    worst: levelsIn(report, false),
   };
   const lists = {
     signed: signed(records),
@@ -165,8 +166,8 @@ const beyond = ({ heads, last }) => (heads && last !== undefined && heads.number
 /** How many are missing between the first and the last. */
 const between = (stretch) => stretch.missing - beyond(stretch);
 
-/** `(a) bytes: proven; (b) signer: 8 self-sealed chain, 3 not proven`. */
-function levelsIn({ records, complete }) {
+/** `(a) bytes: proven; (b) signer: 8 self-sealed chain, 3 not proven`, or only the last of each. */
+function levelsIn({ records, complete }, counted = true) {
   const found = LEVELS.map((name) => [LETTERS[name], records.map((record) => record[name].standing)]);
   found.push(["f", complete.map((stretch) => stretch.standing)]);
   const told = found
@@ -175,8 +176,8 @@ function levelsIn({ records, complete }) {
       const number = (standing) => standings.filter((one) => one === standing).length;
       const counts = Object.entries(WORDING.standings).map(([standing, word]) => [number(standing), word]);
       const some = counts.filter(([many]) => many > 0);
-      const words = some.map(([many, word]) => (some.length === 1 ? word : `${grouped(many)} ${word}`));
-      return `(${letter}) ${WORDING.levels[letter]}: ${words.join(", ")}`;
+      const words = some.map(([many, word]) => (some.length > 1 && counted ? `${grouped(many)} ${word}` : word));
+      return `(${letter}) ${WORDING.levels[letter]}: ${counted ? words.join(", ") : words.at(-1)}`;
     });
   return told.join("; ");
 }

@@ -22,19 +22,21 @@ function said(sentence, facts, most) {
 /** The sentences about a report, the outcome first. */
 export const verdictOn = (report) => sentencesOf(factsOf(report));
 
-/** The sentences about facts: lists are shortened, and then what is spare is left out, until they fit. */
+/** The sentences about facts: lists, then what is spare, and at last sentences are shortened, until they fit. */
 export function sentencesOf(facts) {
   const told = (most) =>
-    WORDING.sentences.flatMap((one) => said(one, facts, most).map((text) => ({ text, isSpare: one.spare === true })));
+    WORDING.sentences.flatMap((one) => said(one, facts, most).map((text) => ({ one, text })));
   const isLong = (all) => all.flatMap(({ text }) => wrapped(text)).length > WORDING.lines;
   let most = WORDING.most;
   let all = told(most);
   while (most > 0 && isLong(all)) all = told(--most);
-  while (isLong(all) && all.some(({ isSpare }) => isSpare))
+  while (isLong(all) && all.some(({ one }) => one.spare))
     all.splice(
-      all.findLastIndex(({ isSpare }) => isSpare),
+      all.findLastIndex(({ one }) => one.spare),
       1,
     );
+  if (isLong(all))
+    all = all.map(({ one, text }) => ({ one, text: one.short ? filled(one.short, [facts.all]) : text }));
   return all.map(({ text }) => text);
 }
 

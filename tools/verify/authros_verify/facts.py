@@ -94,11 +94,11 @@ def facts_of(result):
         "trust_denies": own_chain and trust is not None and not trust.sealed_by_exporter,
         "late_capture": any(is_late(one) for one in intact),
         "foreign_instructions": read_me is not None and read_me != READ_ME,
-        "levels": levels(result),
+        "levels": levels(result), "worst": levels(result, False),
     }
 
 
-def levels(result):
+def levels(result, counted=True):
     found = {}
     for record in result.all:
         for letter, level in record.levels():
@@ -107,6 +107,8 @@ def levels(result):
         found["f"] = [one.standing for one in result.stretches]
     told = []
     for letter, standings in sorted(found.items()):
+        if not counted:
+            standings = ["refused"] if "refused" in standings else [max(standings, key=STANDINGS.index)]
         counts = [(standings.count(one), WORDING["standings"].get(one, WORDING["reasons"]["not_checked"])) for one in STANDINGS if one in standings]
         words = [word if len(counts) == 1 else f"{count:,} {word}" for count, word in counts]
         told.append(f"({letter}) {WORDING['levels'][letter]}: {', '.join(words)}")

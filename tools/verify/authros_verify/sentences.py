@@ -96,14 +96,17 @@ def wrapped(sentence):
 
 
 def verdict(facts, lists):
-    """All sentences; lists are shortened, and then what can be spared is left out, until they fit the lines."""
-    told = lambda most: [(one.get("spare", False), text) for one in WORDING["sentences"] for text in said(one, facts, lists, most)]
+    """All sentences; lists are shortened, what can be spared is left out, and at last sentences are shortened, until they fit the lines."""
+    told = lambda most: [(one, text) for one in WORDING["sentences"] for text in said(one, facts, lists, most)]
     is_long = lambda found: sum(len(wrapped(text)) for _, text in found) > WORDING["lines"]
     most = WORDING["most"]
     found = told(most)
     while most > 0 and is_long(found):
         most -= 1
         found = told(most)
-    while is_long(found) and any(spare for spare, _ in found):
-        del found[max(place for place, (spare, _) in enumerate(found) if spare)]
+    spare = lambda: [place for place, (one, _) in enumerate(found) if one.get("spare")]
+    while is_long(found) and spare():
+        del found[spare()[-1]]
+    if is_long(found):
+        found = [(one, filled(one["short"], facts) if "short" in one else text) for one, text in found]
     return [text for _, text in found]

@@ -172,6 +172,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
     // Made for the previous profile: the answer belongs to nobody any more.
     let Some(place) = state.work.iter().position(|other| other == tag) else { return };
     state.work.remove(place);
+    let times = state.times();
     match tag {
         Tag::Feed(..) => {}
         Tag::OpenConsole => opened_console(state, ask::OpenConsole::heard(result)),
@@ -230,8 +231,8 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) {
             said(state, tag, ask::WatchTopic::heard(result), |()| format!("the rule of {topic} is set"))
         }
         Tag::Foresee(_) => grant::answered(state, tag, ask::ForeseeGrant::heard(result)),
-        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.text),
-        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.text),
+        Tag::Grant(_) => said(state, tag, ask::Grant::heard(result), |view| view.words(&times)),
+        Tag::Extend(_) => said(state, tag, ask::ExtendGrant::heard(result), |view| view.words(&times)),
         Tag::Revoke(_) => said(state, tag, ask::Revoke::heard(result), |view| view.text),
         Tag::Rotate => said(state, tag, ask::RotateKeys::heard(result), |view| view.text),
         Tag::Administer(_) => said(state, tag, ask::Administer::heard(result), |view| view.text),

@@ -102,10 +102,12 @@ fn open_form(state: &mut State, purpose: Purpose, error: Option<String>) {
     if state.identity_path.is_none() {
         notes.push("While locked, nothing can be opened, granted or revoked, and a restarted site captures nothing. Esc: look around.".to_owned());
     }
+    let stored = state.identity.as_ref().and_then(|identity| identity.passphrase_file.as_ref());
     let mut form = if purpose == Purpose::CreateIdentity {
         notes.insert(0, "This passphrase protects your keys on this machine. It cannot be recovered.".to_owned());
         identity::create_identity(profile, notes)
     } else {
+        notes.extend(stored.map(|file| format!("Its passphrase is stored in {file}.")));
         identity::unlock(profile, notes)
     };
     form.error = error;

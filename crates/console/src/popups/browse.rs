@@ -1,7 +1,7 @@
 //! What to browse: owners, topics, types, times.
 
 use crate::app::{Field, Key, Popup, Screen, State, moved, rows};
-use crate::model::clean;
+use crate::model::{clean, natural};
 use crate::screens::grants::state::{end, is_active, is_given, scope};
 use crate::service::reply::RecordView;
 use crate::ui::{Canvas, Rect, Role, draw_list, framed, name_role, right_of, rows};
@@ -56,7 +56,7 @@ fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
         seen.push(choice(&row.topic, "a topic on this page".to_owned(), row.topic.clone()));
         seen.push(choice(&row.type_name, "a type on this page".to_owned(), format!("type:{}", row.type_name)));
     }
-    seen.sort_by(|one, other| one.filter.cmp(&other.filter));
+    seen.sort_by(|one, other| natural(&one.filter, &other.filter));
     seen.dedup();
     let is_new = |choice: &Choice| !choice.text.is_empty() && known.iter().all(|other| other.filter != choice.filter);
     seen.into_iter().filter(is_new).collect()

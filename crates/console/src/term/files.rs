@@ -11,7 +11,7 @@ use base64::engine::general_purpose::STANDARD;
 use crate::app::completion::{Candidate, Found, Sought};
 use crate::app::kept::Kept;
 use crate::app::{Contents, PathKind};
-use crate::model::clean;
+use crate::model::{clean, natural};
 use crate::service::command::LONGEST_POLICY;
 use crate::store::files;
 
@@ -61,7 +61,7 @@ pub fn find(sought: &Sought) -> Result<Found, String> {
         found.names.push(Candidate { name, folder });
     }
     found.more |= entries.next().is_some();
-    found.names.sort_by(|one, other| one.name.cmp(&other.name));
+    found.names.sort_by(|one, other| natural(&one.name, &other.name));
     Ok(found)
 }
 

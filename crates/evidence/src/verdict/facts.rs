@@ -190,7 +190,8 @@ pub(super) fn facts(wording: &Wording, report: &Report, context: &Context) -> Fa
         ("trust_denies", flag(context.trust_denies)),
         ("late_capture", flag(late)),
         ("foreign_instructions", flag(context.foreign_instructions)),
-        ("levels", Fact::Text(levels(wording, report))),
+        ("levels", Fact::Text(levels(wording, report, true))),
+        ("worst", Fact::Text(levels(wording, report, false))),
     ]);
     let readable = report.records.iter().filter(is_readable);
     let lists = BTreeMap::from([
@@ -236,8 +237,8 @@ fn is_unstated(stretch: &Stretch) -> bool {
     is_counted(stretch) && !has_heads(stretch)
 }
 
-/// `(a) bytes: proven; (b) signer: 8 self-sealed chain, 3 not proven`.
-fn levels(wording: &Wording, report: &Report) -> String {
+/// `(a) bytes: proven; (b) signer: 8 self-sealed chain, 3 not proven`, or only the last of each.
+fn levels(wording: &Wording, report: &Report, counted: bool) -> String {
     let mut found: BTreeMap<char, Vec<Standing>> = BTreeMap::new();
     for (letter, level) in report.records.iter().flat_map(RecordReport::levels) {
         found.entry(letter).or_default().push(level.standing);
@@ -248,13 +249,15 @@ fn levels(wording: &Wording, report: &Report) -> String {
     let told = |(letter, standings): (&char, &Vec<Standing>)| {
         let number = |standing: Standing| standings.iter().filter(|one| **one == standing).count();
         let counts = Standing::VARIANTS.iter().map(|one| (number(*one), one.word())).filter(|(number, _)| *number > 0);
-        let is_one_kind = counts.clone().count() == 1;
-        let words = counts.map(|(number, word)| match is_one_kind {
-            true => word.to_owned(),
-            false => format!("{} {word}", grouped(number as u64)),
+        let several = counts.clone().count() > 1;
+        let words = counts.map(|(number, word)| match several && counted {
+            true => format!("{} {word}", grouped(number as u64)),
+            false => word.to_owned(),
         });
+        let words: Vec<String> = words.collect();
+        let said = if counted { words.join(", ") } else { words.last().cloned().unwrap_or_default() };
         let name = wording.levels.get(letter).map(String::as_str).unwrap_or_default();
-        format!("({letter}) {name}: {}", words.collect::<Vec<_>>().join(", "))
+        format!("({letter}) {name}: {said}")
     };
     found.iter().map(told).collect::<Vec<_>>().join("; ")
 }

@@ -39,6 +39,9 @@ struct Sentence {
     more: String,
     #[serde(default)]
     spare: bool,
+    /// What it says if the verdict is still too long without what can be spared.
+    #[serde(default)]
+    short: Option<String>,
 }
 
 /// Empty only if the list cannot be read, which a test rules out.
@@ -50,13 +53,13 @@ pub(crate) fn verdict(report: &Report, context: &Context) -> Vec<String> {
     sentences(&WORDING, &facts(&WORDING, report, context))
 }
 
-/// Shortens lists, and then leaves out what can be spared, until the verdict fits its lines.
+/// Shortens lists, then leaves out what can be spared, and at last shortens sentences, until the verdict fits its lines.
 fn sentences(wording: &Wording, facts: &Facts) -> Vec<String> {
-    let told = |most: usize| -> Vec<(bool, String)> {
+    let told = |most: usize| -> Vec<(&Sentence, String)> {
         let all = wording.sentences.iter();
-        all.flat_map(|one| said(one, facts, most).into_iter().map(|text| (one.spare, text))).collect()
+        all.flat_map(|one| said(one, facts, most).into_iter().map(move |text| (one, text))).collect()
     };
-    let is_long = |told: &[(bool, String)]| {
+    let is_long = |told: &[(&Sentence, String)]| {
         told.iter().map(|(_, text)| wrapped(text, wording.width).len()).sum::<usize>() > wording.lines
     };
     let mut most = wording.most;
@@ -66,8 +69,12 @@ fn sentences(wording: &Wording, facts: &Facts) -> Vec<String> {
         all = told(most);
     }
     while is_long(&all) {
-        let Some(place) = all.iter().rposition(|(spare, _)| *spare) else { break };
+        let Some(place) = all.iter().rposition(|(one, _)| one.spare) else { break };
         all.remove(place);
+    }
+    if is_long(&all) {
+        let short = all.iter_mut().filter_map(|(one, text)| Some((one.short.as_ref()?, text)));
+        short.for_each(|(short, text)| *text = filled(short, &[&facts.all]));
     }
     all.into_iter().map(|(_, text)| text).collect()
 }
@@ -82,7 +89,8 @@ fn said(sentence: &Sentence, facts: &Facts, most: usize) -> Vec<String> {
     let (shown, left) = items.split_at(items.len().min(most));
     let mut texts: Vec<String> = shown.iter().filter_map(|item| first(&[item, &facts.all])).collect();
     if !left.is_empty() {
-        let count = left.iter().filter_map(|item| item.get("count")?.number()).sum();
+        let counts = left.iter().filter_map(|item| item.get("count")?.number());
+        let count = counts.fold(0, u64::saturating_add);
         let rest = Fields::from([("groups", Fact::Number(left.len() as u64)), ("count", Fact::Number(count))]);
         texts.push(filled(&sentence.more, &[&rest, &facts.all]));
     }

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use authros_model::Timestamp;
+use authros_model::{Address, Timestamp};
 use serde_json::Value;
 use strum::VariantArray as _;
 
-use super::facts::{Fact, Facts, Fields};
+use super::facts::{Fact, Facts, Fields, STANDINGS};
 use super::*;
 use crate::report::{Outcome, Reason, Standing};
 use crate::tests::world::{World, ours, sealed};
@@ -33,7 +33,8 @@ fn every_reason_and_standing_has_its_words_and_every_name_is_explained() {
     };
     for sentence in &wording.sentences {
         let list = sentence.each.as_deref();
-        for (condition, text) in &sentence.say {
+        let short = sentence.short.iter().map(|text| (String::new(), text.clone()));
+        for (condition, text) in sentence.say.iter().cloned().chain(short) {
             let filled = text.split(['{', '}']).skip(1).step_by(2).filter_map(|part| part.split('|').next());
             for name in condition.split_whitespace().map(|word| word.trim_start_matches('!')).chain(filled) {
                 assert!(explained(name, list), "{name} in '{text}'");
@@ -70,6 +71,60 @@ fn the_lines_are_those_that_another_program_makes_by_the_same_rules() {
         assert!(lines.iter().all(|line| line.chars().count() <= WORDING.width), "{}", example["what"]);
     }
     assert!(examples.len() > 4);
+}
+
+/// The longest of everything: of the flags only these, so many items in each list, and this for every name.
+fn longest(flags: [&str; 2], items: usize, name: &str) -> Facts {
+    const ONE_OF: [&str; 7] = [
+        "holds",
+        "refused",
+        "self_sealed",
+        "unknown_exporter",
+        "exporter_proven",
+        "exporter_self_sealed",
+        "exporter_refused",
+    ];
+    let text = |text: &str| Fact::Text(text.to_owned());
+    let levels = |standing: &str| {
+        let level = |(letter, name): (&char, &String)| format!("({letter}) {name}: {standing}");
+        text(&WORDING.levels.iter().map(level).collect::<Vec<_>>().join("; "))
+    };
+    let every = STANDINGS.map(|standing| format!("1,000,000 {}", standing.word())).join(", ");
+    let raw = raw();
+    let mut all: Fields = fields(&raw["facts"]).into_keys().map(|name| (name, Fact::Number(1_000_000))).collect();
+    all.extend(ONE_OF.map(|flag| (flag, Fact::Number(u64::from(flags.contains(&flag))))));
+    all.extend([
+        ("exporter", text(&Address([0xab; 20]).to_string())),
+        ("exporter_person", text(name)),
+        ("captured", text("2026-11-26 22:08:00 to 2026-11-27 22:10:59 UTC")),
+        ("levels", levels(&every)),
+        ("worst", levels(Standing::OwnChain.word())),
+    ]);
+    let item = Fields::from([
+        ("topic", text(name)),
+        ("person", text(name)),
+        ("authority", text(name)),
+        ("why", text(&"why ".repeat(20))),
+        ("count", Fact::Number(u64::MAX)),
+        ("proven", Fact::Number(1)),
+    ]);
+    let lists = fields(&raw["lists"]).into_keys().map(|list| (list, vec![item.clone(); items])).collect();
+    Facts { all, lists }
+}
+
+#[test]
+fn no_name_makes_a_verdict_longer_than_its_lines() {
+    let names = ["n".repeat(40), "n ".repeat(20), "nnnnnnnnn ".repeat(4), format!("{} {0}n", "n".repeat(19))];
+    for outcome in ["holds", "refused", "self_sealed", "unknown_exporter", "none"] {
+        for exporter in ["exporter_proven", "exporter_self_sealed", "exporter_refused", "none"] {
+            for (items, name) in [0, 1, 4, 9].into_iter().flat_map(|items| names.iter().map(move |name| (items, name)))
+            {
+                let said = sentences(&WORDING, &longest([outcome, exporter], items, name));
+                let lines: Vec<String> = said.iter().flat_map(|one| wrapped(one, WORDING.width)).collect();
+                assert!(lines.len() <= WORDING.lines, "{outcome}, {exporter}, {items}, {name}: {lines:#?}");
+            }
+        }
+    }
 }
 
 #[test]

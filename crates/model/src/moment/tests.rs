@@ -105,6 +105,17 @@ fn an_end_is_a_whole_second_to_come() {
 }
 
 #[test]
+fn times_of_a_sentence_get_the_readers_beside_them() {
+    let berlin = clock("2026-11-26T21:56:20Z", BERLIN);
+    let [since, ends] = [1_700_000_000, 1_700_003_600].map(Timestamp::from_seconds);
+    let text = format!("opened since {}, ends {}", since.in_utc(), ends.in_utc());
+    let expected = "opened since 2023-11-14 23:13:20 local = 2023-11-14 22:13:20 UTC, \
+                    ends 2023-11-15 00:13:20 local = 2023-11-14 23:13:20 UTC";
+    assert_eq!(berlin.explained(&text, &[since, ends]), expected);
+    assert_eq!(Clock::default().explained(&text, &[since, ends]), text);
+}
+
+#[test]
 fn a_meaning_is_local_and_utc() {
     let clock = clock("2026-11-26T21:56:20Z", BERLIN);
     let meaning = |text: &str| clock.back(text).map(|moment| clock.meaning(moment));

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::command::SecretBytes;
 use crate::model::{
-    Address, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, TopicName, clean, counted,
+    Address, Clock, ContactName, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token, TopicName, clean, counted,
 };
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,6 +18,9 @@ pub struct IdentityView {
     /// On the chain in use.
     pub registered: bool,
     pub address: Option<Address>,
+    /// Where its passphrase is stored, if it is; cleaned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub passphrase_file: Option<String>,
     pub epoch: Option<u64>,
     /// What a grant of that epoch opens already.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -168,13 +171,27 @@ pub struct DeviceTopicsView {
 }
 
 /// Result of a transaction of the profile.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransactionView {
     /// `None` = nothing had to be sent.
     pub transaction: Option<Hash>,
     pub block: Option<u64>,
     pub epoch: u64,
     pub text: String,
+    /// Times that the text names, in UTC.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub times: Vec<Timestamp>,
+}
+
+impl TransactionView {
+    pub fn mined(transaction: Hash, block: u64, epoch: u64, text: String) -> Self {
+        Self { transaction: Some(transaction), block: Some(block), epoch, text, times: Vec::new() }
+    }
+
+    /// The text with the reader's time before each time in UTC.
+    pub fn words(&self, clock: &Clock) -> String {
+        clock.explained(&self.text, &self.times)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -271,10 +271,10 @@ const MOST_LOSSES: i64 = 10_000;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CoverageQuery {
     pub owner: Address,
-    pub topic: String,
+    pub topics: Vec<String>,
     /// Only these keys' records and no losses, which this site's own capture counts; `None` = all recorders.
     pub signers: Option<BTreeSet<SignerId>>,
-    /// `None` = from the first record.
+    /// `None` = from the first record of any.
     pub since: Option<Timestamp>,
     pub until: Timestamp,
     /// 1 to [`MOST_PARTS`].
@@ -319,25 +319,54 @@ pub struct Coverage {
 }
 
 impl Counts {
-    /// One lookup for each part, stream and state.
-    pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
+    /// Of each topic, all over the same span. One lookup for each part, stream and state.
+    pub fn coverage(&self, query: &CoverageQuery) -> Result<Vec<Coverage>, StoreError> {
         self.0.read(|connection| {
-            let mut lanes = lanes(connection, query)?;
-            let signers = lanes.iter().map(|lane| lane.signer).collect();
-            if let Some(wanted) = &query.signers {
-                lanes.retain(|lane| wanted.contains(&lane.signer));
-            }
-            let (first, last) = ends(connection, &lanes)?;
+            let streams = rows::streams(connection, &Which::Of(query.owner))?;
+            let tracks = query.topics.iter().map(|topic| Track::of(connection, &streams, topic, query));
+            let tracks = tracks.collect::<Result<Vec<_>, _>>()?;
+            let first = tracks.iter().filter_map(|track| track.first).min();
             let since = query.since.or(first).unwrap_or(query.until).min(query.until);
-            let mut parts = empty(since, query);
-            for lane in &lanes {
-                lane.walk(connection, query.until, &mut parts)?;
-            }
-            if query.signers.is_none() {
-                add_losses(connection, query, &mut parts)?;
-            }
-            Ok(Coverage { since, until: query.until, first, last, signers, parts })
+            tracks.into_iter().map(|track| track.covered(connection, since, query)).collect()
         })
+    }
+}
+
+/// The records of one topic.
+struct Track<'a> {
+    topic: &'a str,
+    signers: BTreeSet<SignerId>,
+    lanes: Vec<Lane>,
+    first: Option<Timestamp>,
+    last: Option<Timestamp>,
+}
+
+impl<'a> Track<'a> {
+    fn of(
+        connection: &Connection,
+        streams: &[Stream],
+        topic: &'a str,
+        query: &CoverageQuery,
+    ) -> Result<Self, StoreError> {
+        let mut lanes = lanes(connection, streams, topic)?;
+        let signers = lanes.iter().map(|lane| lane.signer).collect();
+        if let Some(wanted) = &query.signers {
+            lanes.retain(|lane| wanted.contains(&lane.signer));
+        }
+        let (first, last) = ends(connection, &lanes)?;
+        Ok(Self { topic, signers, lanes, first, last })
+    }
+
+    fn covered(self, connection: &Connection, since: Timestamp, query: &CoverageQuery) -> Result<Coverage, StoreError> {
+        let mut parts = empty(since, query);
+        for lane in &self.lanes {
+            lane.walk(connection, query.until, &mut parts)?;
+        }
+        if query.signers.is_none() {
+            add_losses(connection, self.topic, query, &mut parts)?;
+        }
+        let Self { signers, first, last, .. } = self;
+        Ok(Coverage { since, until: query.until, first, last, signers, parts })
     }
 }
 
@@ -347,14 +376,12 @@ struct Lane {
     state: RecordState,
 }
 
-fn lanes(connection: &Connection, query: &CoverageQuery) -> Result<Vec<Lane>, StoreError> {
-    let mut streams = rows::streams(connection, &Which::Of(query.owner))?;
-    streams.retain(|stream| stream.topic == query.topic && stream.kind == RecordKind::Data);
+fn lanes(connection: &Connection, streams: &[Stream], topic: &str) -> Result<Vec<Lane>, StoreError> {
     let sql = "SELECT state FROM counters WHERE stream = ?1 AND records > 0";
     let mut lanes = Vec::new();
-    for Stream { key, signer, .. } in streams {
-        let states: Vec<_> = connection.list(sql, [key], |row| rows::state(row, 0))?;
-        lanes.extend(states.into_iter().map(|state| Lane { stream: key, signer, state }));
+    for stream in streams.iter().filter(|stream| stream.topic == topic && stream.kind == RecordKind::Data) {
+        let states: Vec<_> = connection.list(sql, [stream.key], |row| rows::state(row, 0))?;
+        lanes.extend(states.into_iter().map(|state| Lane { stream: stream.key, signer: stream.signer, state }));
     }
     Ok(lanes)
 }
@@ -410,13 +437,18 @@ impl Lane {
     }
 }
 
-fn add_losses(connection: &Connection, query: &CoverageQuery, parts: &mut [CoveragePart]) -> Result<(), StoreError> {
+fn add_losses(
+    connection: &Connection,
+    topic: &str,
+    query: &CoverageQuery,
+    parts: &mut [CoveragePart],
+) -> Result<(), StoreError> {
     let Some(since) = parts.first().map(|part| part.at) else { return Ok(()) };
     let sql =
         "SELECT count, first_at, last_at FROM gaps WHERE owner = ?1 AND topic = ?2 AND last_at >= ?3 AND first_at < ?4
             ORDER BY key DESC LIMIT ?5";
     let (since, until) = (whole("time", since.0)?, whole("time", query.until.0)?);
-    connection.each(sql, params![query.owner.0, query.topic, since, until, MOST_LOSSES], |row| {
+    connection.each(sql, params![query.owner.0, topic, since, until, MOST_LOSSES], |row| {
         let (count, first, last) = (unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?);
         let from = parts.partition_point(|part| part.at.0 <= first).saturating_sub(1);
         let to = parts.partition_point(|part| part.at.0 <= last);

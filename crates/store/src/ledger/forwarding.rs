@@ -142,6 +142,14 @@ pub struct KeptBinding {
     pub device: Option<(SignerId, TopicId)>,
 }
 
+/// A name with a transport key; `device` as in [`KeptBinding`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BoundName {
+    pub name: String,
+    pub account: Address,
+    pub device: Option<SignerId>,
+}
+
 impl Bindings {
     pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
         // It comes with every record of the device: spares a commit each.
@@ -198,9 +206,12 @@ impl Bindings {
     }
 
     /// Ordered by name.
-    pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
-        let sql = "SELECT name, account FROM bindings ORDER BY name";
-        self.0.list(sql, [], |row| Ok((row.get(0)?, Address(row.get(1)?))))
+    pub fn bound_names(&self) -> Result<Vec<BoundName>, StoreError> {
+        let sql = "SELECT name, account, device FROM bindings ORDER BY name";
+        self.0.list(sql, [], |row| {
+            let device = row.get::<Option<_>>(2)?.map(SignerId);
+            Ok(BoundName { name: row.get(0)?, account: Address(row.get(1)?), device })
+        })
     }
 }
 

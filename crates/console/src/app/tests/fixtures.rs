@@ -66,6 +66,7 @@ pub fn identity(exists: bool, unlocked: bool, registered: bool) -> IdentityView 
         unlocked,
         registered,
         address: exists.then_some(OWN),
+        passphrase_file: None,
         epoch: registered.then_some(2),
         epoch_records: registered.then_some(OPENS),
         all_records: registered.then_some(ALL_RECORDS),
@@ -280,7 +281,7 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
 
 /// A transaction that was mined.
 pub fn transaction(text: &str) -> Reply {
-    let view = TransactionView { transaction: Some(Hash([4; 32])), block: Some(120), epoch: 3, text: text.to_owned() };
+    let view = TransactionView::mined(Hash([4; 32]), 120, 3, text.to_owned());
     Reply::Transaction(view)
 }
 
@@ -357,6 +358,7 @@ fn gateway() -> GatewayStatusView {
     let sender = |name: &str, sessions: u64| SenderView {
         name: name.parse().expect("a name"),
         account: OWN,
+        revoked: false,
         sessions,
         peer: (sessions > 0).then(|| "192.0.2.17:40112".to_owned()),
         since: (sessions > 0).then_some(NOW),

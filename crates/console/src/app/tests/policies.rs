@@ -72,6 +72,29 @@ fn each_robot_says_how_it_stands_in_the_words_of_the_command_line() {
 }
 
 #[test]
+fn a_revoked_robot_is_called_that_and_found_by_the_word() {
+    let mut robot = at_the_robots();
+    let mut view = robot.state.gateway.view.clone().expect("a gateway");
+    view.senders.iter_mut().filter(|sender| sender.name.as_str() == "robot2").for_each(|sender| sender.revoked = true);
+    robot.state.gateway.set(view);
+    let member = robot.state.gateway.all_members().into_iter().find(|row| row.name() == "robot2").expect("a sender");
+    assert_eq!(member.standing(fixtures::NOW), "revoked");
+    robot.types("/revoked");
+    robot.presses(Key::Enter);
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
+    assert_eq!(names, ["robot2"]);
+}
+
+#[test]
+fn robots_are_in_the_order_of_their_numbers() {
+    let mut robot = at_the_robots();
+    robots::shows(&mut robot, vec![robots::robot("scout-10", 1), robots::robot("scout-9", 2)]);
+    robot.state.gateway.table.sort = 1;
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
+    assert_eq!(names, ["robot1", "robot2", "scout-9", "scout-10"]);
+}
+
+#[test]
 fn the_list_is_filtered_and_sorted_by_policy() {
     let mut robot = at_the_robots();
     robot.types("/outdated");

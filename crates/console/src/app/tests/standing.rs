@@ -7,7 +7,7 @@ use crate::app::{Action, Feed, Key, Need, Popup, Purpose, Settings, Tag, Verb};
 use crate::model::{Address, Timestamp};
 use crate::screens::topics::capture::Capture;
 use crate::service::reply::{
-    AlertView, EndedAlert, GrantRow, HealthLevel, HeldUp, LifeLine, PartHealth, SiteView, TopicRow,
+    AlertView, EndedAlert, GrantRow, HealthLevel, HeldUp, IdentityView, LifeLine, PartHealth, SiteView, TopicRow,
 };
 use crate::service::{Command, Event, NoticeLevel, Part, Reply};
 
@@ -36,6 +36,19 @@ fn a_locked_profile_asks_for_its_passphrase_at_once_and_esc_looks_around() {
     robot.hears_of(Part::Identity);
     robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
     assert!(robot.state.popups.is_empty(), "it asks once");
+}
+
+#[test]
+fn who_is_asked_for_a_stored_passphrase_is_told_where_it_is() {
+    let place = "/home/operator/.local/share/authros/profiles/default/passphrase";
+    for stored in [Some(place.to_owned()), None] {
+        let mut robot = Robot::opens(Settings::default());
+        let identity = IdentityView { passphrase_file: stored.clone(), ..fixtures::identity(true, false, true) };
+        robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(identity)));
+        robot.types("u");
+        let Some(Popup::Form(Purpose::Unlock, form)) = robot.state.popups.last() else { panic!("no form") };
+        assert_eq!(form.notes.iter().any(|note| note.contains(place)), stored.is_some(), "{:?}", form.notes);
+    }
 }
 
 #[test]

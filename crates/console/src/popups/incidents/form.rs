@@ -1,7 +1,7 @@
 //! An incident opened from the row under the cursor, and a note for one.
 
 use crate::app::{Errand, Feed, Field, Form, Line, Popup, Purpose, Screen, State, Tag, Wrong, completion};
-use crate::model::{Direction, IncidentName, Timestamp, counted};
+use crate::model::{Direction, IncidentName, Timestamp, counted, natural};
 use crate::popups::incidents::state::Deed;
 use crate::screens::grants::state::day;
 use crate::service::command::{NoteIncident, OpenIncident};
@@ -40,7 +40,7 @@ fn around(state: &State) -> Around {
             let (Some(first), Some(last)) = (times().min(), times().max()) else { return now };
             let until = Timestamp::from_seconds(last.seconds().saturating_add(AROUND));
             let mut topics: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
-            topics.sort();
+            topics.sort_by(|one, other| natural(one, other));
             topics.dedup();
             Around {
                 since: Timestamp::from_seconds(first.seconds().saturating_sub(AROUND)).to_string(),

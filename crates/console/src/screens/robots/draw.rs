@@ -11,9 +11,6 @@ const MOST_REASONS: usize = 4;
 /// Nanoseconds.
 const DAY: u64 = 86_400_000_000_000;
 
-/// A robot whose newest record is younger is active.
-const RECENT: u64 = 60_000_000_000;
-
 const COLUMNS: &[Column] = &[
     Column::text("State", 9),
     Column::name("Robot or operator"),
@@ -163,17 +160,9 @@ fn cells(state: &State, row: &Member) -> Vec<(String, Role)> {
     ]
 }
 
-/// By its sessions here, or else by the records that came.
 fn standing_now(state: &State, row: &Member) -> (String, Role) {
-    let is_recent = |at: Timestamp| state.shown_at().0.saturating_sub(at.0) < RECENT;
-    let (word, role) = match (row.sender, row.last()) {
-        (Some(sender), _) if sender.sessions > 0 => ("connected", Role::Good),
-        (Some(_), _) => ("away", Role::Dim),
-        (None, Some(at)) if is_recent(at) => ("active", Role::Good),
-        (None, Some(_)) => ("silent", Role::Dim),
-        (None, None) => ("no record", Role::Dim),
-    };
-    (word.to_owned(), role)
+    let word = row.standing(state.shown_at());
+    (word.to_owned(), if matches!(word, "connected" | "active") { Role::Good } else { Role::Dim })
 }
 
 fn cells_of_robots(state: &State, row: &Member) -> Vec<(String, Role)> {

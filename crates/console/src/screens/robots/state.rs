@@ -1,11 +1,14 @@
 //! Robots and other devices of the gateway, and how they stand to their policies.
 
 use crate::app::{matching::narrow, table::Table};
-use crate::model::{Address, Timestamp, clean};
+use crate::model::{Address, Timestamp, clean, natural};
 use crate::service::reply::{GatewayStatusView, RobotRow, SenderView};
 
 /// Characters of a device id that distinguish robots of one name.
 const DEVICE: usize = 8;
+
+/// A robot whose newest record is younger is active, nanoseconds.
+const RECENT: u64 = 60_000_000_000;
 
 #[derive(Debug, Default)]
 pub struct Gateway {
@@ -51,8 +54,20 @@ impl Member<'_> {
         }
     }
 
-    fn text(&self) -> String {
-        let state = if self.is_connected() { "connected" } else { "away" };
+    /// By its right and its sessions here, or else by the records that came.
+    pub fn standing(&self, now: Timestamp) -> &'static str {
+        match (self.sender, self.last()) {
+            (Some(sender), _) if sender.revoked => "revoked",
+            (Some(sender), _) if sender.sessions > 0 => "connected",
+            (Some(_), _) => "away",
+            (None, Some(at)) if now.0.saturating_sub(at.0) < RECENT => "active",
+            (None, Some(_)) => "silent",
+            (None, None) => "no record",
+        }
+    }
+
+    fn text(&self, now: Timestamp) -> String {
+        let state = self.standing(now);
         let account = self.sender.map(|sender| sender.account.to_string()).unwrap_or_default();
         let peer = self.sender.and_then(|sender| sender.peer.clone()).unwrap_or_default();
         let policy = self.robot.map(searched).unwrap_or_default();
@@ -93,9 +108,9 @@ impl Gateway {
     }
 
     pub fn shown(&self) -> Vec<Member<'_>> {
-        let mut members = narrow(self.table.filter.text(), self.all_members(), Member::text);
+        let mut members = narrow(self.table.filter.text(), self.all_members(), |row| row.text(self.robots_at));
         match self.table.sort {
-            1 => members.sort_by_key(Member::name),
+            1 => members.sort_by(|one, other| natural(&one.name(), &other.name())),
             2 => members.sort_by_key(|row| std::cmp::Reverse(row.sender.map_or(0, |sender| sender.frames))),
             3 => members.sort_by_key(|row| row.robot.map_or((u8::MAX, 0), urgency)),
             _ => members.sort_by_key(|row| !row.is_connected()),

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use crate::app::{history::Sample, history::window, matching::narrow, table::Table};
-use crate::model::{Sampling, Timestamp, counted};
+use crate::model::{Sampling, Timestamp, counted, natural};
 use crate::service::reply::{HeldUp, TopicRow};
 
 const MOST_TOPICS: usize = 5_000;
@@ -269,38 +269,6 @@ impl Topics {
     }
 }
 
-/// `/robot2` before `/robot10`: digits by their number, all else as it is. The topics of a robot stay together.
-fn natural(one: &str, other: &str) -> Ordering {
-    let (mut one, mut other) = (one.as_bytes(), other.as_bytes());
-    loop {
-        let (Some(first), Some(second)) = (one.first(), other.first()) else { return one.len().cmp(&other.len()) };
-        let ((whole, digits), (other_whole, other_digits)) = (number(one), number(other));
-        if whole > 0 && other_whole > 0 {
-            let by_value = digits.len().cmp(&other_digits.len()).then_with(|| digits.cmp(other_digits));
-            // Leading zeros decide last, but before what follows.
-            match by_value.then(whole.cmp(&other_whole)) {
-                Ordering::Equal => (one, other) = (rest(one, whole), rest(other, other_whole)),
-                decided => return decided,
-            }
-        } else if first == second {
-            (one, other) = (rest(one, 1), rest(other, 1));
-        } else {
-            return first.cmp(second);
-        }
-    }
-}
-
-fn rest(text: &[u8], from: usize) -> &[u8] {
-    text.get(from..).unwrap_or_default()
-}
-
-/// The length of the number at the beginning, and its digits without leading zeros.
-fn number(text: &[u8]) -> (usize, &[u8]) {
-    let whole = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    let zeros = text.iter().take(whole).take_while(|byte| **byte == b'0').count();
-    (whole, text.get(zeros..whole).unwrap_or_default())
-}
-
 fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
     match sort {
         1 => descending(one.hz, other.hz),
@@ -340,7 +308,7 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     };
     let held_up = |wanted| rows.iter().any(|row| row.watched && row.held_up == Some(wanted)).then_some(wanted);
     let mut publishers: Vec<String> = rows.iter().flat_map(|row| row.publishers.clone()).collect();
-    publishers.sort();
+    publishers.sort_by(|one, other| natural(one, other));
     publishers.dedup();
     TopicRow {
         topic: name_of(robot),
@@ -372,34 +340,6 @@ pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
-    #[test]
-    fn robots_are_in_the_order_of_their_numbers_and_their_topics_stay_together() {
-        let sorted = [
-            "/a",
-            "/robot1/a",
-            "/robot1/b",
-            "/robot01/a",
-            "/robot01/b",
-            "/robot2/a",
-            "/robot10/a",
-            "/robot10/a1",
-            "/s",
-        ];
-        let mut found: Vec<&str> = sorted.iter().rev().copied().collect();
-        found.sort_by(|one, other| natural(one, other));
-        assert_eq!(found, sorted);
-        for (one, left) in sorted.iter().enumerate() {
-            for (two, right) in sorted.iter().enumerate() {
-                assert_eq!(natural(left, right), one.cmp(&two), "{left} {right}");
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod robots_tests {
     use super::*;
     use crate::app::tests::fixtures;
 

@@ -9,7 +9,8 @@ use tokio::task::block_in_place;
 use super::Capture;
 use super::second::GraphOf;
 use crate::model::{
-    ProfileName, Sampling, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, pinned_name,
+    ProfileName, Sampling, Timestamp, TopicName, TopicPattern, TopicRule, TypeName, WatchRule, clean, natural,
+    pinned_name,
 };
 use crate::service::failure::input;
 use crate::service::reply::{HeldUp, PolicyRow, PolicyView, Result, TopicRow};
@@ -78,7 +79,7 @@ impl Capture {
                 None => Some(HeldUp::WaitsForKey),
             };
         }
-        rows.sort_by(|one, other| one.topic.cmp(&other.topic));
+        rows.sort_by(|one, other| natural(&one.topic, &other.topic));
         Ok(rows)
     }
 

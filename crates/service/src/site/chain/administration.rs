@@ -63,7 +63,7 @@ impl Administering {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Chain);
         let epoch = network.directory.epoch(owner.address);
-        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+        Ok(TransactionView::mined(transaction, receipt.block, epoch, text))
     }
 
     /// Does not wait for the owner's changes: one of them may be the cancelled one.
@@ -84,7 +84,8 @@ impl Administering {
             (_, false) => format!("{subject} ({what}) is cancelled; repeat the command if it is still wanted"),
         };
         let transaction = block.map(|_| cancelled.hash);
-        Ok(TransactionView { transaction, block, epoch: network.directory.epoch(owner.address), text })
+        let epoch = network.directory.epoch(owner.address);
+        Ok(TransactionView { transaction, block, epoch, text, ..TransactionView::default() })
     }
 
     fn act(&self, network: &Network, act: &Administration) -> Result<(Call, String)> {

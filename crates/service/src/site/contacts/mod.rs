@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use tokio::task::block_in_place;
 
 use crate::crypto::Fingerprint;
-use crate::model::{Address, ContactName, Party, ProfileName};
+use crate::model::{Address, ContactName, Party, ProfileName, natural};
 use crate::pipeline::Network;
 use crate::service::event::Part;
 use crate::service::failure::{input, refused};
@@ -126,7 +126,7 @@ impl Contacts {
         }
         let subject = format!("{name} {address}");
         book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
-        book.sort_by(|one, other| one.name.cmp(&other.name));
+        book.sort_by(|one, other| natural(one.name.as_str(), other.name.as_str()));
         self.parts.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
         drop(changing);
         self.rows().await

@@ -16,7 +16,7 @@ use crate::crypto::{
 };
 use crate::failure::{input, refused};
 use crate::gateway::{Context, DeviceNotice};
-use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
+use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean, natural};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::reply::{DeviceTopicsView, EnrolledView, Failure, Result, RobotGatewayView};
@@ -258,7 +258,7 @@ impl Devices {
             return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
         }
         enrolled.topics.extend(added.iter().cloned());
-        enrolled.topics.sort();
+        enrolled.topics.sort_by(|one, other| natural(one, other));
         if enrolled.topics.len() > MOST_NAMED {
             return Err(input(TOO_MANY));
         }

@@ -102,7 +102,7 @@ impl Devices {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Identity);
         let epoch = network.directory.epoch(owner.address);
-        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+        Ok(TransactionView::mined(transaction, receipt.block, epoch, text))
     }
 
     pub async fn rows(&self, owner: &Owner) -> Result<Vec<DeviceRow>> {

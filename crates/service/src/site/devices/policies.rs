@@ -9,7 +9,8 @@ use super::Devices;
 use crate::config::RobotPolicy;
 use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
-    Address, Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
+    Address, Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean,
+    clean_lines, natural,
 };
 use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
@@ -43,7 +44,7 @@ impl Devices {
         let robots = robots.into_iter();
         let row = |robot: Enrolled| Ok(row(&robot, &self.wanted(owner, robot.device)?, &known, lost_by(robot.device)));
         let mut rows = robots.map(row).collect::<Result<Vec<_>>>()?;
-        rows.sort_by(|one, other| one.name.cmp(&other.name));
+        rows.sort_by(|one, other| natural(one.name.as_str(), other.name.as_str()));
         Ok(rows)
     }
 
@@ -119,22 +120,21 @@ impl Devices {
     /// Fills in when there are records of each topic, in equal parts of the whole time.
     fn cover(&self, owner: Address, device: SignerId, topics: &mut [RobotTopicRow]) -> Result<Option<CoveredSpan>> {
         let counts = &self.parts.plant.ledger.counts;
-        let covered = |topic: &str, since: Option<Timestamp>, until: Timestamp, parts: usize| {
-            let signers = Some(BTreeSet::from([device]));
-            counts.coverage(&CoverageQuery { owner, topic: topic.to_owned(), signers, since, until, parts })
-        };
         let now = Timestamp::now();
-        for row in topics.iter_mut() {
-            let ends = covered(&row.topic, None, now, 1)?;
-            (row.first, row.last) = (ends.first, ends.last);
-        }
-        let Some(since) = topics.iter().filter_map(|row| row.first).min() else { return Ok(None) };
+        let names = topics.iter().map(|row| row.topic.clone()).collect();
+        let signers = Some(BTreeSet::from([device]));
+        let query = CoverageQuery { owner, topics: names, signers, since: None, until: now, parts: 1 };
+        let ends = counts.coverage(&query)?;
+        let Some(since) = ends.iter().filter_map(|one| one.first).min() else { return Ok(None) };
         // A robot's clock may be ahead.
-        let last = topics.iter().filter_map(|row| row.last).max().unwrap_or(now);
+        let last = ends.iter().filter_map(|one| one.last).max().unwrap_or(now);
         let until = now.max(Timestamp(last.0.saturating_add(1)));
-        for row in topics.iter_mut().filter(|row| row.first.is_some()) {
-            let parts = covered(&row.topic, Some(since), until, CoveredSpan::PARTS)?.parts;
-            row.strip = parts.iter().map(CoveragePart::sign).collect();
+        let query = CoverageQuery { since: Some(since), until, parts: CoveredSpan::PARTS, ..query };
+        for (row, found) in topics.iter_mut().zip(counts.coverage(&query)?) {
+            (row.first, row.last) = (found.first, found.last);
+            if row.first.is_some() {
+                row.strip = found.parts.iter().map(CoveragePart::sign).collect();
+            }
         }
         Ok(Some(CoveredSpan { since, until }))
     }
@@ -274,6 +274,7 @@ fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: BTreeMap<String
     let nothing =
         |(topic, lost): (String, u64)| RobotTopicRow { topic: clean(&topic, 255), lost, ..RobotTopicRow::default() };
     rows.extend(lost.into_iter().map(nothing));
+    rows.sort_by(|one, other| natural(&one.topic, &other.topic));
     rows
 }
 

@@ -169,14 +169,17 @@ impl GatewayDesk {
             return Ok(());
         }
         let bound = self.gateway.parts.plant.ledger.bindings.bound_names().map_err(Refusal::internal)?;
-        let own = bound.iter().filter(|(_, owner)| owner == account).count();
-        let known = bound.iter().any(|(other, owner)| owner == account && other == name.as_str());
+        let own = bound.iter().filter(|bound| bound.account == *account).count();
+        let known = bound.iter().any(|bound| bound.account == *account && bound.name == name.as_str());
         let most = self.gateway.parts.config.gateway.names;
         if !known && own as u64 >= most {
             return Err(self.over(account, format_args!("{most} names")));
         }
-        let guests: BTreeSet<&Address> =
-            bound.iter().map(|(_, owner)| owner).filter(|owner| !self.gateway.admissions.is_on_list(owner)).collect();
+        let guests: BTreeSet<&Address> = bound
+            .iter()
+            .map(|bound| &bound.account)
+            .filter(|owner| !self.gateway.admissions.is_on_list(owner))
+            .collect();
         if own == 0 && guests.len() >= MOST_GUESTS {
             return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not on the allow list")));
         }

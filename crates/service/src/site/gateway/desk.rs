@@ -241,13 +241,11 @@ impl Desk for GatewayDesk {
         .await
     }
 
-    /// Of the device's newest loan: a later one is valid again.
     async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal> {
         let Some(device) = &binding.device else { return Ok(None) };
         let network = self.known_network()?;
-        let loans = network.directory.account(binding.account).map(|account| account.devices).unwrap_or_default();
-        let block = loans.iter().rfind(|loan| loan.device == device.id).and_then(|loan| loan.recalled);
-        let Some(block) = block else { return Ok(None) };
+        let account = network.directory.account(binding.account);
+        let Some(block) = account.and_then(|account| account.recalled(device.id)) else { return Ok(None) };
         network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 

@@ -26,7 +26,7 @@ use tokio::task::block_in_place;
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::server::Sender;
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server, ServerWatch};
-use crate::model::{Address, AnchorMode, Domain, ProfileName, Timestamp};
+use crate::model::{Address, AnchorMode, Domain, ProfileName, SignerId, Timestamp, natural};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::intake::Anchors;
@@ -34,6 +34,7 @@ use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
 use crate::service::reply::{GatewayStatusView, GatewayView, RefusedView, Result, SenderView, SystemKeyView};
+use crate::store::BoundName;
 
 /// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -217,8 +218,23 @@ impl Gateway {
         own.map(|serving| Arc::clone(&serving.under))
     }
 
+    /// A row for each bound name, without sessions.
+    fn bound_senders(&self) -> Result<Vec<SenderView>> {
+        let directory = self.parts.link.network_now().map(|network| network.directory);
+        let is_revoked = |account: Address, device: Option<SignerId>| {
+            let account = directory.as_ref().and_then(|directory| directory.account(account));
+            device.zip(account).is_some_and(|(device, account)| account.recalled(device).is_some())
+        };
+        let bound = self.parts.plant.ledger.bindings.bound_names()?.into_iter();
+        let row = |bound: BoundName| {
+            let revoked = is_revoked(bound.account, bound.device);
+            Some(SenderView { revoked, ..without_sessions(bound.name.parse().ok()?, bound.account) })
+        };
+        Ok(bound.filter_map(row).collect())
+    }
+
     pub fn status(&self) -> Result<GatewayStatusView> {
-        let bound = self.parts.plant.ledger.bindings.bound_names()?;
+        let bound = self.bound_senders()?;
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving();
         let Some(serving) = &*serving else {
@@ -256,23 +272,16 @@ pub struct Serving {
     pub under: KeptUnder,
 }
 
+fn without_sessions(name: ProfileName, account: Address) -> SenderView {
+    SenderView { name, account, revoked: false, sessions: 0, peer: None, since: None, last: None, frames: 0, bytes: 0 }
+}
+
 /// Every bound name with the sum of its sessions; connected ones first.
-fn sender_rows(bound: Vec<(String, Address)>, connected: Vec<Sender>) -> Vec<SenderView> {
-    let unknown = |name: ProfileName, account| SenderView {
-        name,
-        account,
-        sessions: 0,
-        peer: None,
-        since: None,
-        last: None,
-        frames: 0,
-        bytes: 0,
-    };
-    let known = bound.into_iter().filter_map(|(name, account)| Some((name.parse::<ProfileName>().ok()?, account)));
-    let mut rows: BTreeMap<ProfileName, SenderView> =
-        known.map(|(name, account)| (name.clone(), unknown(name, account))).collect();
+fn sender_rows(bound: Vec<SenderView>, connected: Vec<Sender>) -> Vec<SenderView> {
+    let mut rows: BTreeMap<ProfileName, SenderView> = bound.into_iter().map(|row| (row.name.clone(), row)).collect();
     for sender in connected {
-        let row = rows.entry(sender.name.clone()).or_insert_with(|| unknown(sender.name.clone(), sender.account));
+        let unbound = || without_sessions(sender.name.clone(), sender.account);
+        let row = rows.entry(sender.name.clone()).or_insert_with(unbound);
         row.sessions += 1;
         row.peer = Some(sender.peer.to_string());
         row.since = Some(row.since.map_or(sender.since, |since| since.min(sender.since)));
@@ -281,6 +290,7 @@ fn sender_rows(bound: Vec<(String, Address)>, connected: Vec<Sender>) -> Vec<Sen
         row.bytes = row.bytes.saturating_add(sender.bytes);
     }
     let mut rows: Vec<SenderView> = rows.into_values().collect();
+    rows.sort_by(|one, other| natural(one.name.as_str(), other.name.as_str()));
     rows.sort_by_key(|row| row.sessions == 0);
     rows
 }

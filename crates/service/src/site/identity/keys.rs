@@ -20,7 +20,7 @@ use crate::pipeline::{Network, Owner, PipelineError, recovery};
 use crate::reply::{EpochView, Failure, KeysView, Result};
 use crate::site::blocking;
 use crate::store::notes::ProfileAccounts;
-use crate::store::{RecordQuery, StoreError};
+use crate::store::{BoundName, RecordQuery, StoreError};
 
 /// Longest wait for records signed by the old signing key.
 const DRAIN: Duration = Duration::from_secs(60);
@@ -357,7 +357,7 @@ impl Profiles {
         // Nothing is bound meanwhile.
         let mut held = under.as_ref().map(|under| under.write().unwrap_or_else(std::sync::PoisonError::into_inner));
         let Some((present, former)) = pairs.split_first() else { return Ok(()) };
-        for (name, _) in ledger.bindings.bound_names()? {
+        for BoundName { name, .. } in ledger.bindings.bound_names()? {
             let Some(kept) = name.parse().ok().map(|name| ledger.bindings.binding(&name)).transpose()?.flatten() else {
                 continue;
             };

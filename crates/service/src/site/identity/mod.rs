@@ -26,7 +26,7 @@ use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
 use crate::event::Part;
 use crate::failure::{input, internal, refused};
-use crate::model::{Address, ProfileName, Timestamp};
+use crate::model::{Address, ProfileName, Timestamp, clean};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
 use crate::reply::{Failure, IdentityView, Opens, Result};
@@ -251,6 +251,8 @@ impl Profiles {
         if !view.exists {
             return Ok(view);
         }
+        let stored = self.parts.home.passphrase(profile);
+        view.passphrase_file = stored.exists().then(|| clean(&stored.display().to_string(), 500));
         let public = blocking(self, move |_| Ok(read_public(&path)?)).await?;
         view.address = Some(public.address);
         view.signing_key = Some(public.signing);

@@ -7,11 +7,11 @@ use tokio::task::block_in_place;
 use super::Reading;
 use crate::command::UploadQuery;
 use crate::failure::input;
-use crate::model::{Address, ProfileName, SignerId, Timestamp, TopicName, TopicPattern, clean, counted};
+use crate::model::{Address, ProfileName, SignerId, Timestamp, TopicName, TopicPattern, clean, counted, natural};
 use crate::reply::{CoverageView, Result};
 use crate::site::devices::enrolled;
 use crate::store::notes::Enrolled;
-use crate::store::{Coverage, CoverageQuery, RecordQuery, StoreError};
+use crate::store::{Coverage, CoverageQuery, RecordQuery};
 
 const MOST_PARTS: usize = 1_000;
 /// Parts of all strips of one answer.
@@ -47,7 +47,7 @@ impl Reading {
             )));
         }
         let enrolled = block_in_place(|| enrolled::of_account(&self.parts.plant.ledger.notes, owner))?;
-        let view = |topic: TopicName, found: Coverage| CoverageView {
+        let view = |(topic, found): (TopicName, Coverage)| CoverageView {
             topic,
             robot: robot.as_ref().map(|robot| clean(robot, 64)),
             robots: robots_of(&enrolled, &found.signers),
@@ -57,8 +57,10 @@ impl Reading {
             last: found.last,
             parts: found.parts,
         };
-        let found = block_in_place(|| self.covered(owner, &names, chosen.signers.as_ref(), (since, until), parts))?;
-        Ok(names.into_iter().zip(found).map(|(topic, found)| view(topic, found)).collect())
+        let topics = names.iter().map(ToString::to_string).collect();
+        let query = CoverageQuery { owner, topics, signers: chosen.signers, since, until, parts };
+        let found = block_in_place(|| self.parts.plant.ledger.counts.coverage(&query))?;
+        Ok(names.into_iter().zip(found).map(view).collect())
     }
 
     /// Topics with records that match; a topic named in full also without.
@@ -67,10 +69,10 @@ impl Reading {
         owner: Address,
         topic: Option<&TopicPattern>,
         chosen: &RecordQuery,
-    ) -> Result<BTreeSet<TopicName>> {
+    ) -> Result<Vec<TopicName>> {
         let is_chosen = |name: &str| chosen.topics.iter().all(|patterns| patterns.matches(name));
         if let Some(name) = topic.and_then(TopicPattern::name).filter(|name| is_chosen(name.as_str())) {
-            return Ok(BTreeSet::from([name]));
+            return Ok(vec![name]);
         }
         let is_signed = |signer: &SignerId| chosen.signers.as_ref().is_none_or(|signers| signers.contains(signer));
         let recorded = self.parts.plant.ledger.counts.signer_topics(owner, None)?;
@@ -80,37 +82,18 @@ impl Reading {
             let what = "no message of yours has that topic and robot; `authros records list` shows yours";
             return Err(input(format!("nothing matches: {what}")));
         }
+        let mut names = Vec::from_iter(names);
+        names.sort_by(|one, other| natural(one.as_str(), other.as_str()));
         Ok(names)
-    }
-
-    /// Without a beginning, all begin with the first record of any.
-    fn covered(
-        &self,
-        owner: Address,
-        names: &BTreeSet<TopicName>,
-        signers: Option<&BTreeSet<SignerId>>,
-        (since, until): (Option<Timestamp>, Timestamp),
-        parts: usize,
-    ) -> Result<Vec<Coverage>, StoreError> {
-        let of = |name: &TopicName, since: Option<Timestamp>, parts: usize| {
-            let (topic, signers) = (name.to_string(), signers.cloned());
-            let query = CoverageQuery { owner, topic, signers, since, until, parts };
-            self.parts.plant.ledger.counts.coverage(&query)
-        };
-        let mut begin = since;
-        if since.is_none() && names.len() > 1 {
-            for name in names {
-                begin = begin.into_iter().chain(of(name, None, 1)?.first).min();
-            }
-        }
-        names.iter().map(|name| of(name, begin, parts)).collect()
     }
 }
 
 fn robots_of(enrolled: &[Enrolled], signers: &BTreeSet<SignerId>) -> Vec<String> {
     let robots = enrolled.iter().filter(|robot| signers.contains(&robot.device));
     let names: BTreeSet<&str> = robots.map(|robot| robot.name.as_str()).collect();
-    names.into_iter().map(str::to_owned).collect()
+    let mut names: Vec<String> = names.into_iter().map(str::to_owned).collect();
+    names.sort_by(|one, other| natural(one, other));
+    names
 }
 
 #[cfg(test)]

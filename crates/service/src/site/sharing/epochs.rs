@@ -76,7 +76,7 @@ impl Sharing {
         }
         self.parts.hub.changed(Part::Grants);
         let text = format!("{purpose}: epoch {next} has begun; new records are sealed under its key");
-        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch: next, text })
+        Ok(TransactionView::mined(transaction, receipt.block, next, text))
     }
 
     /// Begins again the epochs that the chain lost. None is used a second time: revoked readers know their keys.

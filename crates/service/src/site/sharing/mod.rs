@@ -22,7 +22,7 @@ use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys};
 use crate::gateway::GrantNotice;
 use crate::model::grant::MOST_TOPICS;
-use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName, clean};
+use crate::model::{Address, GrantTerms, Party, Scope, Timestamp, TopicId, TopicName, clean, natural};
 use crate::pipeline::directory::{GrantState, Granted, kept};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::recorder::CapturedMessage;
@@ -107,11 +107,13 @@ impl Sharing {
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
         let what = if names.is_empty() { "all topics".to_owned() } else { names.join(", ") };
-        let moment =
-            if begun || from == GrantFrom::Now { NOTHING_OLDER.to_owned() } else { opens.words(Timestamp::in_utc) };
+        let (moment, times) = match begun || from == GrantFrom::Now {
+            true => (NOTHING_OLDER.to_owned(), Vec::new()),
+            false => (opens.words(Timestamp::in_utc), Vec::from_iter(opens.since)),
+        };
         let begun = if begun { format!("; epoch {epoch} has begun for it") } else { String::new() };
         let text = format!("{grantee} can read {what}, {moment}{begun}");
-        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+        Ok(TransactionView { times, ..TransactionView::mined(transaction, receipt.block, epoch, text) })
     }
 
     /// Extends an active grant; its keys and epoch stay.
@@ -136,10 +138,11 @@ impl Sharing {
         let (transaction, receipt) = self.parts.log.end(owner, "extend", &subject, sent).await?;
         self.parts.link.scanned(receipt.block).await;
         self.parts.hub.changed(Part::Grants);
-        let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends at {expires}"));
+        let end = expires.map_or_else(|| "has no end".to_owned(), |expires| format!("ends {}", expires.in_utc()));
         let epoch = network.directory.epoch(owner.address);
-        let text = format!("the grant to {grantee} now {end} instead of {ends}");
-        Ok(TransactionView { transaction: Some(transaction), block: Some(receipt.block), epoch, text })
+        let text = format!("the grant to {grantee} now {end} instead of {}", ends.in_utc());
+        let times = expires.into_iter().chain([ends]).collect();
+        Ok(TransactionView { times, ..TransactionView::mined(transaction, receipt.block, epoch, text) })
     }
 
     pub fn active_grant(&self, network: &Network, owner: Address, grantee: Address) -> Option<Granted> {
@@ -236,7 +239,7 @@ impl Sharing {
         match reader.open_envelope(grant, grant.terms.epoch).as_deref() {
             Ok(WrappedKeys { keys: GrantedKeys::Topics { keys }, .. }) => {
                 let mut names: Vec<String> = keys.iter().map(|(_, topic, _, _)| clean(topic, 255)).collect();
-                names.sort();
+                names.sort_by(|one, other| natural(one, other));
                 names.dedup();
                 names
             }

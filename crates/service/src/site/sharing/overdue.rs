@@ -209,7 +209,7 @@ impl Sharing {
         self.parts.log.write(&owner.profile, "revoke", &format!("{grantee} epoch {epoch}"), "done").await?;
         owner.confirm_epoch(network.domain, epoch)?;
         self.settle_revocation(owner, grantee)?;
-        let view = TransactionView { transaction: None, block: None, epoch, text: String::new() };
+        let view = TransactionView { epoch, ..TransactionView::default() };
         Ok(told(grantee, view))
     }
 }

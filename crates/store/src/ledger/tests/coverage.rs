@@ -10,8 +10,12 @@ fn at(seq: u64, captured_at: u64) -> NewRecord {
 }
 
 fn query(since: Option<u64>, until: u64, parts: usize) -> CoverageQuery {
-    let topic = "/robot1/odom".to_owned();
-    CoverageQuery { owner: OWNER, topic, signers: None, since: since.map(Timestamp), until: Timestamp(until), parts }
+    let topics = vec!["/robot1/odom".to_owned()];
+    CoverageQuery { owner: OWNER, topics, signers: None, since: since.map(Timestamp), until: Timestamp(until), parts }
+}
+
+fn covered(ledger: &Ledger, query: &CoverageQuery) -> Coverage {
+    ledger.counts.coverage(query).expect("read").pop().expect("of the topic")
 }
 
 /// A letter for each part: d = data, q = quarantined, t = tampered, l = lost, `.` = nothing.
@@ -40,15 +44,27 @@ fn each_part_says_what_there_is_of_it() {
     };
     let elsewhere = loss(LossReason::Memory, 2);
     ledger.losses.count(vec![lost, elsewhere]).expect("counted");
-    let coverage = ledger.counts.coverage(&query(Some(100), 500, 4)).expect("read");
+    let coverage = covered(&ledger, &query(Some(100), 500, 4));
     assert_eq!(strip(&coverage), ["d", "l", "dql", "."]);
     assert_eq!(
         coverage.parts.iter().map(|part| (part.at.0, part.lost)).collect::<Vec<_>>(),
         [(100, 0), (200, 7), (300, 7), (400, 0)]
     );
     assert_eq!((coverage.first, coverage.last), (Some(Timestamp(100)), Some(Timestamp(500))));
-    let whole = ledger.counts.coverage(&query(None, 600, 1)).expect("read");
+    let whole = covered(&ledger, &query(None, 600, 1));
     assert_eq!((whole.since, strip(&whole)), (Timestamp(100), vec!["dql".to_owned()]));
+}
+
+#[test]
+fn several_topics_begin_with_the_first_record_of_any() {
+    let (_home, ledger) = open();
+    let other = NewRecord { captured_at: Timestamp(150), ..record(1, 2, 1) };
+    ledger.records.append(vec![at(1, 310), other]).expect("acknowledged");
+    let topics = ["/robot1/odom", "/robot2/odom", "/never"].map(str::to_owned).to_vec();
+    let found = ledger.counts.coverage(&CoverageQuery { topics, ..query(None, 550, 4) }).expect("read");
+    let told: Vec<_> = found.iter().map(|one| (one.since.0, one.first.map(|at| at.0), strip(one).concat())).collect();
+    let expected = [(150, Some(310), ".d.."), (150, Some(150), "d..."), (150, None, "....")];
+    assert_eq!(told, expected.map(|(since, first, strip)| (since, first, strip.to_owned())));
 }
 
 #[test]
@@ -69,9 +85,9 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
     ledger.losses.count(vec![lost]).expect("counted");
     let of = |signers: &[SignerId]| {
         let signers = Some(signers.iter().copied().collect());
-        ledger.counts.coverage(&CoverageQuery { signers, ..query(Some(100), 500, 4) }).expect("read")
+        covered(&ledger, &CoverageQuery { signers, ..query(Some(100), 500, 4) })
     };
-    let all = ledger.counts.coverage(&query(Some(100), 500, 4)).expect("read");
+    let all = covered(&ledger, &query(Some(100), 500, 4));
     assert_eq!((strip(&all).concat().as_str(), all.signers.len()), ("dldd", 2));
     let first = of(&[one]);
     assert_eq!(strip(&first).concat(), "d...", "a loss of this site is none of the robot's");
@@ -85,15 +101,11 @@ fn two_robots_of_one_topic_have_a_timeline_each() {
 #[test]
 fn a_topic_without_records_and_a_span_without_length_are_no_errors() {
     let (_home, ledger) = open();
-    let nothing = ledger.counts.coverage(&query(None, 600, 60)).expect("read");
+    let nothing = covered(&ledger, &query(None, 600, 60));
     assert_eq!((nothing.first, nothing.since, strip(&nothing)), (None, Timestamp(600), vec![".".to_owned()]));
-    let turned = ledger.counts.coverage(&query(Some(900), 600, 0)).expect("read");
+    let turned = covered(&ledger, &query(Some(900), 600, 0));
     assert_eq!((turned.since, turned.parts.len()), (Timestamp(600), 1));
-    assert_eq!(
-        ledger.counts.coverage(&query(Some(0), 10, 60)).expect("read").parts.len(),
-        10,
-        "no part is shorter than 1 ns"
-    );
+    assert_eq!(covered(&ledger, &query(Some(0), 10, 60)).parts.len(), 10, "no part is shorter than 1 ns");
 }
 
 server::on_a_server! {

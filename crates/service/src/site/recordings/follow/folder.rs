@@ -8,6 +8,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use crate::model::natural;
 use crate::ros::rosbag2::{METADATA, has_journal};
 
 const MOST_ENTRIES: usize = 16 * 1024;
@@ -96,27 +97,7 @@ pub(super) fn is_database(path: &Path) -> bool {
 }
 
 pub(super) fn sort(paths: &mut [PathBuf]) {
-    paths.sort_by(|one, other| in_order(&one.to_string_lossy(), &other.to_string_lossy()));
-}
-
-/// Numbers in names count as numbers: `run_9` is before `run_10`.
-pub(super) fn in_order(one: &str, other: &str) -> Ordering {
-    parts(one).cmp(&parts(other)).then_with(|| one.cmp(other))
-}
-
-/// Text and the number after it, without leading zeros, by length and then by digits.
-fn parts(name: &str) -> Vec<(&str, usize, &str)> {
-    let (mut rest, mut parts) = (name, Vec::new());
-    while !rest.is_empty() {
-        let digits = rest.find(|letter: char| letter.is_ascii_digit()).unwrap_or(rest.len());
-        let (text, tail) = rest.split_at(digits);
-        let end = tail.find(|letter: char| !letter.is_ascii_digit()).unwrap_or(tail.len());
-        let (number, tail) = tail.split_at(end);
-        let number = number.trim_start_matches('0');
-        parts.push((text, number.len(), number));
-        rest = tail;
-    }
-    parts
+    paths.sort_by(|one, other| natural(&one.to_string_lossy(), &other.to_string_lossy()));
 }
 
 /// Without changes and a visible writer for this long, a file is no longer written.
@@ -138,7 +119,7 @@ fn has_later(path: &Path, files: &[PathBuf]) -> bool {
     let is_later = |other: &PathBuf| {
         other.parent() == path.parent()
             && other.extension() == path.extension()
-            && in_order(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
+            && natural(&path.to_string_lossy(), &other.to_string_lossy()) == Ordering::Less
     };
     files.iter().any(is_later)
 }
@@ -268,8 +249,8 @@ mod tests {
     #[test]
     fn files_are_taken_in_the_order_of_their_numbers() {
         let mut names = ["r/run_10.mcap", "r/run_9.mcap", "r/run_0.mcap", "q/b_2026.mcap", "r/run_010.mcap"];
-        names.sort_by(|one, other| in_order(one, other));
-        assert_eq!(names, ["q/b_2026.mcap", "r/run_0.mcap", "r/run_9.mcap", "r/run_010.mcap", "r/run_10.mcap"]);
+        names.sort_by(|one, other| natural(one, other));
+        assert_eq!(names, ["q/b_2026.mcap", "r/run_0.mcap", "r/run_9.mcap", "r/run_10.mcap", "r/run_010.mcap"]);
     }
 
     #[test]
