@@ -23,10 +23,12 @@ pub fn open(file: &Path, secret: &SecretText) -> Result<JoinFile> {
 
 /// `config`: the settings of the file and of this machine.
 pub fn join(file: &JoinFile, home: &Home, config: &Config) -> Result<JoinedView> {
-    let account = keyring::public_of(&file.keyring).ok_or(CryptoError::DamagedKeyring("of this join file".to_owned()))?.address;
+    let account =
+        keyring::public_of(&file.keyring).ok_or(CryptoError::DamagedKeyring("of this join file".to_owned()))?.address;
     let found = look(config)?;
     compare(file, account, &found, provider(config.provider))?;
-    let (standing, notes) = if is_worker(home, file, account) { (renew(file, home)?, Vec::new()) } else { write(file, home)? };
+    let (standing, notes) =
+        if is_worker(home, file, account) { (renew(file, home)?, Vec::new()) } else { write(file, home)? };
     let (profile, store, gateway) = (file.profile.clone(), found.store, file.gateway);
     Ok(JoinedView { standing, profile, account, gateway, store, addresses: config.gateway_addresses.clone(), notes })
 }
@@ -78,7 +80,8 @@ fn compare(file: &JoinFile, account: Address, found: &Found, provider: &dyn Prov
             file.domain
         )));
     }
-    let unserved = || refused(format!("{store} has no system keys; run `authros gateway serve` at its first worker once"));
+    let unserved =
+        || refused(format!("{store} has no system keys; run `authros gateway serve` at its first worker once"));
     let keys = found.keys.as_ref().ok_or_else(unserved)?;
     if keys.join != file.join.number {
         return Err(refused(format!(
@@ -147,7 +150,8 @@ mod tests {
         let (identity, join) = (SmKeyPair::generate(provider).expect("keys"), JoinKey::generate(2).expect("a key"));
         let (gateway, kept) = (signer_id(&identity.public), std::sync::Arc::default());
         let (shelf, now) = (Memory(std::sync::Arc::clone(&kept)), Timestamp::from_seconds(2_000_000_000));
-        crate::gateway::Cabinet::on(Box::new(shelf), provider, DOMAIN, identity, Schedule::default(), now).expect("opens");
+        crate::gateway::Cabinet::on(Box::new(shelf), provider, DOMAIN, identity, Schedule::default(), now)
+            .expect("opens");
         let kept = kept.lock().expect("not poisoned").clone().expect("written");
         let keys = crate::site::sealed_system_keys(provider, (&DOMAIN, &gateway), &join, &kept).expect("seals");
         let account = Address([7; 20]);
@@ -174,7 +178,10 @@ mod tests {
         assert_eq!(refused(&file, &Found { keys: None, ..scene().2 }, "gateway serve"), ErrorKind::Refused);
         let mut old = file.clone();
         old.join.number = 1;
-        assert_eq!(refused(&old, &found, "has join key 1, and the workers of its gateway have join key 2"), ErrorKind::Refused);
+        assert_eq!(
+            refused(&old, &found, "has join key 1, and the workers of its gateway have join key 2"),
+            ErrorKind::Refused
+        );
         assert_eq!(refused(&file, &other, "do not open"), ErrorKind::Tampered, "another key of the same number");
     }
 

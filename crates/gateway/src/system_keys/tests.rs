@@ -1,5 +1,6 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use proptest::prelude::*;
@@ -192,6 +193,99 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     assert!(again().is_err(), "a list that the identity did not sign");
     let other = Cabinet::open(&path, context().provider, context().domain, pair(0x31), Schedule::default(), day(1));
     assert!(other.is_err(), "another identity does not take the list over");
+}
+
+/// What several workers have, and one worker's view of it.
+#[derive(Clone, Default)]
+struct Together {
+    all: Arc<Mutex<Option<Kept>>>,
+    seen: Option<Kept>,
+}
+
+impl Shelf for Together {
+    fn read(&mut self) -> Result<Option<Kept>, GatewayError> {
+        self.seen = self.all.lock().expect("not poisoned").clone();
+        Ok(self.seen.clone())
+    }
+
+    fn write(&mut self, kept: &Kept) -> Result<bool, GatewayError> {
+        let mut all = self.all.lock().expect("not poisoned");
+        let is_first = *all == self.seen;
+        if is_first {
+            *all = Some(kept.clone());
+            self.seen.clone_from(&all);
+        }
+        Ok(is_first)
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}
+
+fn worker(together: &Together, now: Timestamp) -> Cabinet {
+    let (schedule, shelf) = (Schedule { lifetime: 7 * DAY, grace: DAY }, Box::new(together.clone()));
+    Cabinet::on(shelf, context().provider, context().domain, pair(0x21), schedule, now).expect("opens")
+}
+
+#[test]
+fn workers_show_the_newest_list_and_open_what_each_of_them_offered() {
+    let together = Together::default();
+    let mut first = worker(&together, day(0));
+    let mut second = worker(&together, day(1));
+    assert_eq!(first.kept().list.keys, second.kept().list.keys, "the same keys");
+    assert!(second.kept().list.version > first.kept().list.version);
+    assert_eq!(first.rotate(day(1)).expect("reads"), Rotation::default());
+    assert_eq!(first.kept(), second.kept(), "before it shows a list, it has the newest");
+
+    assert!(second.rotate(day(7)).expect("rotates").published);
+    assert!(!first.rotate(day(7)).expect("reads").published, "one worker makes the list");
+    assert_eq!(first.kept(), second.kept());
+    assert!(first.kept().keys.len() == 3, "a retired key, too, opens at each of them");
+    assert_eq!(first.rotate(day(8)).expect("erases").erased, 1);
+    assert_eq!(together.all.lock().expect("not poisoned").as_ref().map(|kept| kept.keys.len()), Some(2));
+}
+
+#[test]
+fn of_two_workers_that_rotate_at_once_one_makes_the_list() {
+    let together = Together::default();
+    let (mut first, mut second) = (worker(&together, day(0)), worker(&together, day(0)));
+    first.load().expect("reads");
+    second.load().expect("reads");
+    assert!(second.settle(day(7), false).expect("rotates").published);
+    assert!(!first.settle(day(7), false).expect("reads again").published, "what it read is not there any more");
+    assert_eq!(first.kept(), second.kept());
+}
+
+#[test]
+fn after_a_database_was_restored_no_older_list_is_shown() {
+    let together = Together::default();
+    let mut first = worker(&together, day(0));
+    let before = together.all.lock().expect("not poisoned").clone();
+    first.rotate(day(7)).expect("rotates");
+    let shown = first.kept().list.version;
+    *together.all.lock().expect("not poisoned") = before;
+    assert!(first.rotate(day(7)).expect("publishes").published);
+    assert!(first.kept().list.version > shown, "{shown}");
+    let list = together.all.lock().expect("not poisoned").clone().expect("a list").list;
+    assert_eq!(list, first.kept().list);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+    #[test]
+    fn what_workers_share_has_one_encoding(noise in proptest::collection::vec(any::<u8>(), 0..200), at: usize, bit in 0u8..8) {
+        let kept = worker(&Together::default(), day(0)).kept().clone();
+        let (list, secrets) = (kept.list.encode(), kept.secrets());
+        prop_assert_eq!(Kept::parse(&list, &secrets), Ok(kept));
+        prop_assert!(Kept::parse(&list, &noise).is_err(), "without the listed keys");
+        let mut altered = secrets.to_vec();
+        let at = at % altered.len();
+        altered[at] ^= 1 << bit;
+        if let Ok(parsed) = Kept::parse(&list, &altered) {
+            prop_assert_eq!(&parsed.secrets()[..], &altered[..]);
+        }
+    }
 }
 
 impl Cabinet {

@@ -15,8 +15,8 @@ use crate::model::{Domain, ErrorKind, ProfileName, SignerId};
 use crate::paths::Home;
 use crate::pipeline::network_pin;
 use crate::reply::{Failure, Result};
-use crate::store::notes::{SealedSystemKeys, SharedSystemKeys};
 use crate::store::Notes;
+use crate::store::notes::{SealedSystemKeys, SharedSystemKeys};
 
 const DAMAGED: &str = "the system keys in the database do not open under this home's join key: join again with a new file \
                        (`authros gateway join-file` at a worker that serves), or restore the database";
@@ -112,7 +112,8 @@ impl Gateway {
     /// The file that makes another machine a worker; with `renew` under a new join key, which older files do not have.
     pub async fn join_file(&self, profile: &ProfileName, secret: &SecretText, renew: bool) -> Result<SecretBytes> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
-        let made = async { block_in_place(|| self.made_join_file(profile, renew)?.seal(&passphrase).map_err(Into::into)) };
+        let made =
+            async { block_in_place(|| self.made_join_file(profile, renew)?.seal(&passphrase).map_err(Into::into)) };
         let act = if renew { "renew join key" } else { "make join file" };
         self.parts.log.deed(profile, act, "gateway", made).await.map(SecretBytes::new)
     }
@@ -130,7 +131,8 @@ impl Gateway {
             return Err(refused(text));
         }
         let notes = &self.parts.plant.ledger.notes;
-        let unserved = || input("this gateway was never served; run `authros gateway serve` once, then make the join file");
+        let unserved =
+            || input("this gateway was never served; run `authros gateway serve` once, then make the join file");
         let pin = network_pin(&self.parts.plant.ledger.rights)?.ok_or_else(unserved)?;
         let (keyring, home) = (self.parts.home.keyring(profile), &self.parts.home);
         let seen = notes.read(&SharedSystemKeys {})?.ok_or_else(unserved)?;
