@@ -118,7 +118,7 @@ async fn join_file(context: Context, out: &Path, renew: bool, random: bool, outp
         return Err(CryptoError::Exists(clean(&out.display().to_string(), 200)).into());
     }
     if random && passphrase::is_passed(&context.global) {
-        return Err(usage("--random makes a passphrase; omit it, or the other one"));
+        return Err(usage("--random makes a passphrase; omit it, or the option that passes one"));
     }
     let secret = match random {
         true => SecretText::new(Passphrase::random()?.expose().to_owned()),

@@ -179,12 +179,9 @@ impl JoinKey {
         if !path.exists() {
             return Ok(None);
         }
-        let secret = JoinSecret::from_slice(&read_private(&path, JoinSecret::LENGTH)?);
-        let found = || "it is damaged; join again with a file of `authros gateway join-file`".to_owned();
-        let secret = secret.ok_or_else(|| CryptoError::NotAKey {
-            path: shown(&path),
-            wanted: "a join key of 32 bytes",
-            found: found(),
+        let secret = JoinSecret::from_slice(&read_private(&path, JoinSecret::LENGTH)?).ok_or_else(|| {
+            let found = "it is damaged; join again with a file of `authros gateway join-file`".to_owned();
+            CryptoError::NotAKey { path: shown(&path), wanted: "a join key of 32 bytes", found }
         })?;
         Ok(Some(Self { number, secret }))
     }

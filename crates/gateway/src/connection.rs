@@ -67,8 +67,8 @@ impl Shared {
     }
 
     fn list(&self) -> (ListSummary, Vec<u8>) {
-        let list = &self.system_keys().list;
-        (list.summary(self.provider()), list.encode())
+        let kept = self.system_keys();
+        (kept.list.summary(self.provider()), kept.list.encode())
     }
 
     /// What a hello announces: no list older than what another worker may have shown.

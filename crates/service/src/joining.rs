@@ -73,7 +73,7 @@ fn compare(file: &JoinFile, account: Address, found: &Found, provider: &dyn Prov
         )));
     }
     if found.domain != Some(file.domain) {
-        let there = found.domain.map_or_else(|| "none yet".to_owned(), |domain| domain.to_string());
+        let there = found.domain.map_or_else(|| "not set".to_owned(), |domain| domain.to_string());
         return Err(refused(format!(
             "this join file is of another network: its domain is {}, that of {store} is {there}; make one at a worker of this \
              gateway with `authros gateway join-file --out FILE`",

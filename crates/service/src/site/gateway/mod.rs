@@ -208,7 +208,7 @@ impl Gateway {
             }
             let (notes, home) = (self.parts.plant.ledger.notes.clone(), self.parts.home.clone());
             let gateway = signer_id(&identity.public);
-            let shelf = workers::Database { notes, home, provider, domain: *domain, gateway, seen: None };
+            let shelf = workers::SharedShelf { notes, home, provider, domain: *domain, gateway, seen: None };
             Cabinet::on(Box::new(shelf), provider, *domain, identity, schedule, now)
         })?;
         let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });

@@ -21,8 +21,8 @@ use crate::store::notes::{SealedSystemKeys, SharedSystemKeys};
 const DAMAGED: &str = "the system keys in the database do not open under this home's join key: join again with a new file \
                        (`authros gateway join-file` at a worker that serves), or restore the database";
 
-/// The database of all workers.
-pub(super) struct Database {
+/// The system keys in the database of all workers.
+pub(super) struct SharedShelf {
     pub notes: Notes,
     pub home: Home,
     pub provider: &'static dyn Provider,
@@ -36,7 +36,7 @@ fn unshared(failure: Failure) -> GatewayError {
     GatewayError::Shelf { kind: failure.kind, text: failure.message }
 }
 
-impl Shelf for Database {
+impl Shelf for SharedShelf {
     fn read(&mut self) -> Result<Option<Kept>, GatewayError> {
         self.seen = self.notes.read(&SharedSystemKeys {}).map_err(|error| unshared(error.into()))?;
         let Some(sealed) = &self.seen else { return Ok(None) };
@@ -135,12 +135,16 @@ impl Gateway {
             || input("this gateway was never served; run `authros gateway serve` once, then make the join file");
         let pin = network_pin(&self.parts.plant.ledger.rights)?.ok_or_else(unserved)?;
         let (keyring, home) = (self.parts.home.keyring(profile), &self.parts.home);
+        if !keyring.exists() {
+            let text = format!("profile '{profile}' has no keyring here; name the one that keeps the gateway with --profile");
+            return Err(input(text));
+        }
         let seen = notes.read(&SharedSystemKeys {})?.ok_or_else(unserved)?;
         let list = unhex(&seen.list).and_then(|list| SystemKeyList::parse(&list).ok());
         let gateway = list.ok_or_else(|| Failure::new(ErrorKind::Tampered, DAMAGED))?.gateway;
         let join = if renew {
             let (notes, home, provider) = (notes.clone(), home.clone(), self.parts.plant.provider);
-            Database { notes, home, provider, domain: pin.domain(), gateway, seen: None }.renewed()?
+            SharedShelf { notes, home, provider, domain: pin.domain(), gateway, seen: None }.renewed()?
         } else {
             join_key(home, seen.join)?
         };
@@ -153,7 +157,7 @@ impl Gateway {
 /// Times that other workers may write first.
 const ATTEMPTS: usize = 10;
 
-impl Database {
+impl SharedShelf {
     /// A new join key, kept here before the secrets are sealed under it.
     fn renewed(&mut self) -> Result<JoinKey> {
         let folder = self.home.gateway();
