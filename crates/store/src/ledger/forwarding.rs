@@ -156,12 +156,7 @@ impl Bindings {
     }
 
     /// `before`: the account that had the name; `false` if another one has it by now, and nothing is changed.
-    pub fn bind(
-        &self,
-        name: &ProfileName,
-        before: Option<Address>,
-        binding: KeptBinding,
-    ) -> Result<bool, StoreError> {
+    pub fn bind(&self, name: &ProfileName, before: Option<Address>, binding: KeptBinding) -> Result<bool, StoreError> {
         let KeptBinding { account, signing, envelope, sealed_key, device } = binding;
         let (device, notices) = device.map(|(device, notices)| (device.0, notices.0)).unzip();
         let sql = "INSERT INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (name) DO UPDATE SET

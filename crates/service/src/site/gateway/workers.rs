@@ -136,7 +136,8 @@ impl Gateway {
         let pin = network_pin(&self.parts.plant.ledger.rights)?.ok_or_else(unserved)?;
         let (keyring, home) = (self.parts.home.keyring(profile), &self.parts.home);
         if !keyring.exists() {
-            let text = format!("profile '{profile}' has no keyring here; name the one that keeps the gateway with --profile");
+            let text =
+                format!("profile '{profile}' has no keyring here; name the one that keeps the gateway with --profile");
             return Err(input(text));
         }
         let seen = notes.read(&SharedSystemKeys {})?.ok_or_else(unserved)?;
