@@ -23,8 +23,8 @@ pub fn open(file: &Path, secret: &SecretText) -> Result<JoinFile> {
 
 /// `config`: the settings of the file and of this machine.
 pub fn join(file: &JoinFile, home: &Home, config: &Config) -> Result<JoinedView> {
-    let account =
-        keyring::public_of(&file.keyring).ok_or(CryptoError::DamagedKeyring("of this join file".to_owned()))?.address;
+    let public = keyring::public_of(&file.keyring);
+    let account = public.ok_or_else(|| CryptoError::DamagedKeyring("of this join file".to_owned()))?.address;
     let found = look(config)?;
     compare(file, account, &found, provider(config.provider))?;
     let (standing, notes) =

@@ -32,7 +32,7 @@ impl Scene {
     fn join_file(&self, name: &str, more: &[&str]) -> String {
         let file = self.gateway.home.root().join(name).to_str().expect("UTF-8").to_owned();
         let make = ["gateway", "join-file", "--out", &file, "--passphrase-file", &self.secret];
-        self.gateway.keeper().json(&[&make, more].concat());
+        self.gateway.keeper().json(&[&make[..], more].concat());
         file
     }
 

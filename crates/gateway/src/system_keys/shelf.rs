@@ -96,7 +96,7 @@ pub(super) struct Folder(pub PathBuf);
 impl Shelf for Folder {
     fn read(&mut self) -> Result<Option<Kept>, GatewayError> {
         let Some(list) = list_in(&self.0)? else { return Ok(None) };
-        let secret = |key: &SystemKey| Ok((*key, read_secret(&self.path(key))?));
+        let secret = |key: &SystemKey| Ok::<_, CryptoError>((*key, read_secret(&self.path(key))?));
         let keys = list.keys.iter().map(secret).collect::<Result<_, CryptoError>>()?;
         Ok(Some(Kept { list, keys }))
     }

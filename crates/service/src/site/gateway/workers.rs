@@ -112,8 +112,8 @@ impl Gateway {
     /// The file that makes another machine a worker; with `renew` under a new join key, which older files do not have.
     pub async fn join_file(&self, profile: &ProfileName, secret: &SecretText, renew: bool) -> Result<SecretBytes> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
-        let made =
-            async { block_in_place(|| self.made_join_file(profile, renew)?.seal(&passphrase).map_err(Into::into)) };
+        let make = || -> Result<Vec<u8>> { Ok(self.made_join_file(profile, renew)?.seal(&passphrase)?) };
+        let made = async { block_in_place(make) };
         let act = if renew { "renew join key" } else { "make join file" };
         self.parts.log.deed(profile, act, "gateway", made).await.map(SecretBytes::new)
     }
@@ -149,9 +149,10 @@ impl Gateway {
         } else {
             join_key(home, seen.join)?
         };
-        let file = JoinFile::new(pin.domain(), pin.chain_id, gateway, profile.clone(), join);
-        let keyring = std::fs::read(&keyring).map_err(CryptoError::read(&keyring))?;
-        Ok(JoinFile { keyring, settings: config.of_workers(), ..file })
+        let mut file = JoinFile::new(pin.domain(), pin.chain_id, gateway, profile.clone(), join);
+        file.keyring = std::fs::read(&keyring).map_err(CryptoError::read(&keyring))?;
+        file.settings = config.of_workers();
+        Ok(file)
     }
 }
 
