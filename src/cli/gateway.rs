@@ -66,7 +66,7 @@ pub enum GatewayVerb {
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
-        GatewayVerb::JoinFile { out, renew, random } => return join_file(context, &out, renew, random, output).await,
+        GatewayVerb::JoinFile { out, renew, random } => return join_file(&context, &out, renew, random, output).await,
         GatewayVerb::Join { file } => return join(&context, &file, output),
         GatewayVerb::Allow { owner } => Admit { owner: parse::value(&owner)? }.into(),
         GatewayVerb::Deny { owner } => Dismiss { owner: parse::value(&owner)? }.into(),
@@ -113,7 +113,7 @@ fn reached_at(addresses: &[String]) -> String {
 
 const JOIN_FILE: &str = "join file";
 
-async fn join_file(context: Context, out: &Path, renew: bool, random: bool, output: &Output) -> Result<u8, Failure> {
+async fn join_file(context: &Context, out: &Path, renew: bool, random: bool, output: &Output) -> Result<u8, Failure> {
     if out.symlink_metadata().is_ok() {
         return Err(CryptoError::Exists(clean(&out.display().to_string(), 200)).into());
     }
