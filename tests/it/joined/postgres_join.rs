@@ -142,6 +142,9 @@ fn a_new_join_key_shuts_out_older_files_and_workers() {
     let worker = Scene::machine(&home).with(&["--robots", "0"]);
     let said = worker.fails(REFUSED, &NOWHERE);
     assert!(said.contains("have join key 2") && said.contains("authros gateway join FILE"), "{said}");
+    let checks = worker.with(&["--json"]).run(&["doctor"]).document();
+    let checks = support::list(&checks, "checks");
+    assert!(checks.iter().any(|check| check["name"] == "join key" && check["status"] == "fail"), "{checks:?}");
     assert_eq!(text(&scene.join(&home, &second), "standing"), "renewed");
     let mut site = worker.spawn(&NOWHERE);
     site.wait_for_text(&scene.gateway.key, 120);

@@ -74,7 +74,7 @@ fn first_join_key(home: &Home) -> Result<JoinKey, CryptoError> {
     Ok(join)
 }
 
-fn join_key(home: &Home, number: u64) -> Result<JoinKey> {
+pub(crate) fn join_key(home: &Home, number: u64) -> Result<JoinKey> {
     JoinKey::load(&home.gateway(), number)?.ok_or_else(|| {
         refused(format!(
             "the workers of this gateway have join key {number}, and {} does not have it: make a join file at another worker \
