@@ -62,7 +62,7 @@ pub const DEFINITIONS: &[Definition] = definitions! {
          and counted";
     "store.url", "AUTHROS_STORE", "":
         "PostgreSQL database of a gateway's home: postgres://user:password@host/database, with commas between several \
-         hosts; empty = a file in the home";
+         hosts; without a password there, PGPASSWORD or the file PGPASSFILE has it; empty = a file in the home";
     "store.roots", "AUTHROS_STORE_ROOTS", "":
         "PEM file with the certificate authorities to accept for that database; empty = those of this machine";
     "cache.url", "AUTHROS_CACHE", "":
