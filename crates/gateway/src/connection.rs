@@ -43,7 +43,7 @@ pub(super) struct Shared {
     /// What it last had.
     pub kept: RwLock<Arc<Kept>>,
     /// Whether other workers have the same cabinet.
-    pub is_shared: bool,
+    pub has_workers: bool,
     /// A retired key's.
     pub grace: Duration,
     pub peers: Peers,
@@ -73,7 +73,7 @@ impl Shared {
 
     /// What a hello announces: no list older than what another worker may have shown.
     async fn announced(self: &Arc<Self>) -> Result<ListSummary> {
-        if self.is_shared {
+        if self.has_workers {
             let shared = Arc::clone(self);
             let read = tokio::task::spawn_blocking(move || shared.take_over_rotation());
             read.await.map_err(Refusal::internal)?.map_err(Refusal::internal)?;

@@ -45,12 +45,12 @@ impl Server {
         let listener = TcpListener::bind(address).await?;
         let address = listener.local_addr()?;
         let identity = cabinet.identity().clone();
-        let (is_shared, grace) = (cabinet.is_shared(), cabinet.grace());
+        let (has_workers, grace) = (cabinet.is_shared(), cabinet.grace());
         let kept = RwLock::new(Arc::new(cabinet.kept().clone()));
         let (cabinet, peers, tally) = (Mutex::new(cabinet), Peers::new(limits), Tally::default());
         let binding = tokio::sync::Mutex::new(());
         let shared =
-            Arc::new(Shared { desk, context, identity, cabinet, kept, is_shared, grace, peers, binding, tally });
+            Arc::new(Shared { desk, context, identity, cabinet, kept, has_workers, grace, peers, binding, tally });
         let (stop, stopping) = watch::channel(false);
         let task = tokio::spawn(listen(listener, Arc::clone(&shared), stopping));
         Ok(Self { address, shared, stop, task })
