@@ -112,6 +112,12 @@ impl Context {
         Ok(Config::resolve(&|name| global.setting(name), &environment, file)?)
     }
 
+    /// The settings of a home that would begin with these, and of this machine.
+    pub fn beginning_with(&self, settings: &str) -> Result<Config, Failure> {
+        let file = Some((Path::new("the join file"), settings));
+        Ok(Config::resolve(&|name| self.global.setting(name), &environment, file)?)
+    }
+
     /// Connects, prepares the profile, does `work`, closes the connection.
     pub async fn with<T>(
         &self,

@@ -3,16 +3,19 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 
 use super::connect::{Context, ProfileNeed};
-use super::plan::Plan;
-use super::{parse, show::Question};
+use super::plan::{NEITHER, Plan};
+use super::{parse, parse::usage, passphrase, show::Question};
+use crate::crypto::private_file::create_private;
+use crate::crypto::{CryptoError, Passphrase};
 use crate::model::{clean, counted};
-use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
-use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
-use crate::service::{Client, Failure, Needs};
+use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, MakeJoinFile, Register, ServeGateway};
+use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView};
+use crate::service::{Client, Failure, Needs, SecretText, joining};
 use authros_output::{Output, table};
 
 /// `gateway …`
@@ -28,6 +31,23 @@ pub enum GatewayVerb {
         /// Also accept owners who are not on the allow list, each within the quotas in the settings
         #[arg(long)]
         open: bool,
+    },
+    /// Write the file that makes another machine a worker of this gateway, which keeps its records in PostgreSQL
+    JoinFile {
+        /// File to write; must not exist. Type its own passphrase, or pass it as for a keyring
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// Make a new join key: earlier files make no workers, and workers without this one end
+        #[arg(long)]
+        renew: bool,
+        /// Seal it under a random passphrase, which is shown once
+        #[arg(long)]
+        random: bool,
+    },
+    /// Make an empty home a worker of a gateway, or bring a worker a newer join key
+    Join {
+        /// What `gateway join-file` wrote; type its own passphrase, or pass it as for a keyring
+        file: PathBuf,
     },
     /// Allow an owner to use this home's gateway: to register names, send records and read what is granted to it
     Allow {
@@ -46,6 +66,8 @@ pub enum GatewayVerb {
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
+        GatewayVerb::JoinFile { out, renew, random } => return join_file(&context, &out, renew, random, output).await,
+        GatewayVerb::Join { file } => return join(&context, &file, output),
         GatewayVerb::Allow { owner } => Admit { owner: parse::value(&owner)? }.into(),
         GatewayVerb::Deny { owner } => Dismiss { owner: parse::value(&owner)? }.into(),
         GatewayVerb::Allowed => ListAdmitted.into(),
@@ -69,12 +91,85 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     super::serve::until_signal(connection, output, begin, |view: GatewayView, joined| {
         output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
             format!(
-                "gateway at {}, key {} (fingerprint {}), anchoring as {}; stop it with Ctrl-C",
-                view.address, view.gateway, view.fingerprint, view.account
+                "gateway at {}, key {} (fingerprint {}), anchoring as {}; stop it with Ctrl-C{}",
+                view.address,
+                view.gateway,
+                view.fingerprint,
+                view.account,
+                reached_at(&view.addresses)
             )
         });
     })
     .await
+}
+
+/// A line more, if the settings say it.
+fn reached_at(addresses: &[String]) -> String {
+    if addresses.is_empty() {
+        return String::new();
+    }
+    format!("\nrobots and owners reach it at {}", clean(&addresses.join(","), 300))
+}
+
+const JOIN_FILE: &str = "join file";
+
+async fn join_file(context: &Context, out: &Path, renew: bool, random: bool, output: &Output) -> Result<u8, Failure> {
+    if out.symlink_metadata().is_ok() {
+        return Err(CryptoError::Exists(clean(&out.display().to_string(), 200)).into());
+    }
+    if random && passphrase::is_passed(&context.global) {
+        return Err(usage("--random makes a passphrase; omit it, or the option that passes one"));
+    }
+    let secret = match random {
+        true => SecretText::new(Passphrase::random()?.expose().to_owned()),
+        false => passphrase::of_its_own(&context.global, JOIN_FILE, true)?,
+    };
+    let ask = MakeJoinFile { passphrase: secret.clone(), renew };
+    let make = async |client: &Client| client.ask(ask).await;
+    let made = context.with(NEITHER, ProfileNeed::None, output, make).await?;
+    create_private(out, made.expose())?;
+    let shown = random.then(|| secret.expose());
+    output.result(&serde_json::json!({ "file": out.display().to_string(), "passphrase": shown }), || {
+        let mut lines = vec![format!(
+            "written to {} (0600); on the other machine: `authros gateway join FILE`, with PGPASSWORD or PGPASSFILE for the \
+             database",
+            out.display()
+        )];
+        lines.extend(shown.map(|shown| format!("its passphrase, shown this once: {shown}")));
+        lines.extend(renew.then(|| "other workers accept nobody until they join again with this file".to_owned()));
+        lines.join("\n")
+    });
+    Ok(0)
+}
+
+fn join(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
+    let secret = passphrase::of_its_own(&context.global, JOIN_FILE, false)?;
+    let opened = joining::open(file, &secret)?;
+    // A worker has settings of its own.
+    let own = context.home.config().exists().then(|| context.config.clone());
+    let config = own.map_or_else(|| context.beginning_with(&opened.settings), Ok)?;
+    let view = joining::join(&opened, &context.home, &config)?;
+    output.result(&view, || joined(&view, context.home.root()));
+    Ok(0)
+}
+
+fn joined(view: &JoinedView, home: &Path) -> String {
+    let JoinedView { profile, account, store, .. } = view;
+    let home = home.display();
+    let first = match view.standing {
+        JoinStanding::Joined => format!("{home} is a worker of the gateway of {account} on {store}"),
+        JoinStanding::Renewed => format!("{home} has the newer join key of the gateway of {account} on {store}"),
+        JoinStanding::Unchanged => format!("{home} has this join key already"),
+    };
+    let next = format!(
+        "next: `authros --home {home} --profile {profile} gateway serve --listen ADDRESS:PORT`, with the passphrase of the \
+         gateway's keyring{}",
+        reached_at(&view.addresses)
+    );
+    let mut lines = vec![first];
+    lines.extend(view.notes.iter().cloned());
+    lines.extend((view.standing == JoinStanding::Joined).then_some(next));
+    lines.join("\n")
 }
 
 pub fn allowed(rows: &[AdmittedView]) -> String {
@@ -91,12 +186,13 @@ pub fn status(view: &GatewayStatusView) -> String {
     let mut lines = Vec::new();
     match (&view.served, &view.through) {
         (Some(served), _) => lines.push(format!(
-            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {}",
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; {}{}",
             served.address,
             served.gateway,
             served.fingerprint,
             served.account,
-            counted(view.connections, "connection")
+            counted(view.connections, "connection"),
+            reached_at(&served.addresses)
         )),
         (None, Some(through)) => lines.push(format!("no gateway here; this site has joined another one: {through}")),
         (None, None) => lines.push("no gateway here; `authros gateway serve` starts one".to_owned()),

@@ -130,15 +130,20 @@ pub fn of_source(global: &Global, beside: &Path) -> Result<Option<SecretText>, F
 
 /// Of a backup: never the home's own. A new one is typed twice.
 pub fn of_backup(global: &Global, is_new: bool) -> Result<SecretText, Failure> {
+    of_its_own(global, "backup", is_new)
+}
+
+/// Of a file that goes to another machine: never the home's own. A new one is typed twice.
+pub fn of_its_own(global: &Global, file: &str, is_new: bool) -> Result<SecretText, Failure> {
     let given = of_source(global, Path::new(""))?;
     let typed = || {
         if is_new {
-            return terminal::new_one("New passphrase of this backup (nobody can recover it)");
+            return terminal::new_one(&format!("New passphrase of this {file} (nobody can recover it)"));
         }
-        terminal::once("Passphrase of the backup")
+        terminal::once(&format!("Passphrase of the {file}"))
     };
     let secret = given.map_or_else(typed, |given| Ok(Some(given)))?;
-    secret.ok_or_else(|| usage(format!("a backup has a passphrase of its own: pass {SOURCES}")))
+    secret.ok_or_else(|| usage(format!("a {file} has a passphrase of its own: pass {SOURCES}")))
 }
 
 /// For a process of this program without a terminal: what it would ask for.

@@ -60,7 +60,7 @@ impl Desk for Liar {
         Ok(None)
     }
 
-    async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, _: &ProfileName, _: Option<Address>, _: Binding) -> Result<(), Refusal> {
         no()
     }
 

@@ -304,6 +304,9 @@ fn a_saved_keyring_is_brought_back_and_never_over_another() {
     assert!(gone.contains("keys restore FILE"), "{gone}");
     plain(&home).with(&["--passphrase-file", &wrong]).fails(REFUSED, &["keys", "restore", saved]);
     assert!(!keyring.exists(), "a wrong passphrase brings nothing back");
+    let other = plain(&home).with(&["--profile", "spare", "--passphrase-file", &right]);
+    let misplaced = other.fails(REFUSED, &["keys", "restore", saved]);
+    assert!(misplaced.contains("authros --profile default keys restore"), "{misplaced}");
 
     // Another account's is refused, whatever opens it.
     let bob = plain(&home).with(&["--profile", "bob", "--passphrase-file", &right]);

@@ -87,7 +87,7 @@ impl Desk for StubDesk {
         Ok(None)
     }
 
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, name: &ProfileName, _: Option<Address>, binding: Binding) -> Result<(), Refusal> {
         self.bindings.lock().expect("not poisoned").insert(name.clone(), binding);
         Ok(())
     }

@@ -62,7 +62,7 @@ pub const DEFINITIONS: &[Definition] = definitions! {
          and counted";
     "store.url", "AUTHROS_STORE", "":
         "PostgreSQL database of a gateway's home: postgres://user:password@host/database, with commas between several \
-         hosts; empty = a file in the home";
+         hosts; without a password there, PGPASSWORD or the file PGPASSFILE has it; empty = a file in the home";
     "store.roots", "AUTHROS_STORE_ROOTS", "":
         "PEM file with the certificate authorities to accept for that database; empty = those of this machine";
     "cache.url", "AUTHROS_CACHE", "":
@@ -150,6 +150,9 @@ pub const DEFINITIONS: &[Definition] = definitions! {
         "blocks until an anchor counts as confirmed, including its own, 1 to 1000";
     "gateway.admission", "AUTHROS_GATEWAY_ADMISSION", "closed":
         "who may use this home's gateway: closed = its own profiles and allowed owners; open = anyone, within quotas";
+    "gateway.addresses", "AUTHROS_GATEWAY_ADDRESSES", "":
+        "addresses at which robots and owners reach this home's gateway, HOST:PORT separated by commas: those of all its \
+         workers, a DNS name or a load balancer; empty = the one it listens at";
     "gateway.quota_bytes", "AUTHROS_GATEWAY_QUOTA_BYTES", "10GiB":
         "bytes of records that an owner who is not on the allow list may send to an open gateway";
     "gateway.quota_names", "AUTHROS_GATEWAY_QUOTA_NAMES", "16":

@@ -11,6 +11,7 @@ mod rules;
 mod sections;
 #[cfg(test)]
 mod tests;
+mod workers;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -124,6 +125,8 @@ pub struct Config {
     pub alerts: AlertSettings,
     pub confirmations: u64,
     pub gateway: GatewayRules,
+    /// HOST:PORT each, where this home's gateway and its other workers are reached; may be empty.
+    pub gateway_addresses: Vec<String>,
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
@@ -241,6 +244,7 @@ impl Config {
                 names: number(&values, "gateway.quota_names", 1, 10_000)?,
                 streams: number(&values, "gateway.quota_streams", 1, 1_000_000)?,
             },
+            gateway_addresses: addresses(&values, "gateway.addresses")?,
             site: remote_site(&values)?,
             topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,
@@ -282,6 +286,7 @@ fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, Conf
 }
 
 const MOST_ADDRESSES: usize = 8;
+const PLACES: &str = "use HOST:PORT, or up to eight of them separated by commas";
 
 /// Half of a key's.
 const FINGERPRINT_DIGITS: usize = 32;
@@ -312,15 +317,21 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
                       site.gateway_key";
         return Err(wrong(values, "site.address", advice));
     }
-    let addresses: Vec<String> = text.split(',').map(|part| part.trim().to_owned()).collect();
-    if addresses.len() > MOST_ADDRESSES || !addresses.iter().all(|address| is_place(address)) {
-        return Err(wrong(values, "site.address", "use HOST:PORT, or up to eight of them separated by commas"));
-    }
+    let addresses = addresses(values, "site.address")?;
     if value(values, "chain.url").is_some() {
         let advice = "leave it empty while site.address is set: that site supplies the chain";
         return Err(wrong(values, "chain.url", advice));
     }
     Ok(Some(RemoteSite { addresses, gateway_key, trust_first }))
+}
+
+fn addresses(values: &Values, name: &'static str) -> Result<Vec<String>, ConfigError> {
+    let text = value(values, name).unwrap_or_default();
+    let listed: Vec<String> = text.split(',').map(|part| part.trim().to_owned()).filter(|_| !text.is_empty()).collect();
+    if listed.len() > MOST_ADDRESSES || !listed.iter().all(|address| is_place(address)) {
+        return Err(wrong(values, name, PLACES));
+    }
+    Ok(listed)
 }
 
 fn is_place(address: &str) -> bool {

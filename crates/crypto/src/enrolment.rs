@@ -11,15 +11,16 @@ use zeroize::Zeroizing;
 
 use crate::error::shown;
 use crate::gateway_addresses::{put_addresses, read_addresses};
-use crate::keystore::{FileKey, SaveKeys, SealedHead, of_version};
+use crate::keystore::{FileKey, SaveKeys, of_version};
 use crate::model::wire::{Reader, Wire, WireError};
 use crate::model::{
     Address, Domain, ProfileName, PublicKey, RecorderId, RingSpan, SignerId, Timestamp, Token, TopicId, layout,
 };
 use crate::private_file::{create_private, read_private, write_private};
+use crate::sealed_file::{FileKind, LARGEST, SealedFile};
 use crate::{
-    CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, ProviderName, Result,
-    SignedPolicy, SmKeyPair, TopicKey, TransportKey, provider, signer_id,
+    CryptoError, EpochKey, FilterKey, GatewayAddresses, IndexKey, OwnerKeyChange, Passphrase, Result, SignedPolicy,
+    SmKeyPair, TopicKey, TransportKey, signer_id,
 };
 
 /// The most topics whose keys are issued at once, including those for statements.
@@ -141,32 +142,14 @@ impl Wire for GatewayAccess {
     }
 }
 
-// On disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and length (4), then
-// the enrolment under SM4-GCM with all of that as AAD.
+const KIND: FileKind = FileKind { magic: *b"\x89AuthEnr", label: "AuthROS/enrolment/1", what: "enrolment" };
 
-const MAGIC: [u8; 8] = *b"\x89AuthEnr";
-const LABEL: &str = "AuthROS/enrolment/1";
-const LARGEST: usize = 1024 * 1024;
-const HEADER: usize = SealedHead::LENGTH + 4;
-
-type Parts<'a> = (SealedHead, &'a [u8], &'a [u8]);
-
-fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>> {
-    read_parts(bytes).map_err(|why| of_version(path, "an enrolment", bytes, why).unwrap_or_else(|| damaged(path)))
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<SealedFile<'a>> {
+    KIND.split(bytes).map_err(|why| of_version(path, "an enrolment", bytes, why).unwrap_or_else(|| damaged(path)))
 }
 
-fn read_parts(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
-    let mut reader = Reader::new(bytes);
-    let head = SealedHead::read(&mut reader, &MAGIC)?;
-    let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
-    let sealed = reader.take(length, "sealed enrolment")?;
-    reader.end()?;
-    Ok((head, bytes.get(..HEADER).unwrap_or_default(), sealed))
-}
-
-fn open(keys: &SaveKeys, (_, aad, sealed): Parts<'_>) -> Option<Enrolment> {
-    let plain = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, aad, sealed).ok()?;
-    Enrolment::parse(&plain).ok()
+fn open(keys: &SaveKeys, file: &SealedFile<'_>) -> Option<Enrolment> {
+    Enrolment::parse(&file.open(keys)?).ok()
 }
 
 fn damaged(path: &Path) -> CryptoError {
@@ -193,17 +176,7 @@ impl SealedEnrolment {
     /// # Errors
     /// [`CryptoError::Length`] if it is too large, [`CryptoError::Random`].
     pub fn seal(&self) -> Result<Vec<u8>> {
-        let mut sealed = self.enrolment.encode();
-        let (head, keys) = SealedHead::new(&self.key, LABEL)?;
-        let length = sealed.len() + 16;
-        if HEADER + length > LARGEST {
-            return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
-        }
-        let mut out = head.encode(&MAGIC);
-        out.extend_from_slice(&u32::try_from(length).unwrap_or(u32::MAX).to_be_bytes());
-        provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &out, &mut sealed)?;
-        out.extend_from_slice(&sealed);
-        Ok(out)
+        KIND.seal(&self.key, self.enrolment.encode())
     }
 
     /// Reads and opens a file (about 0.3 s).
@@ -211,10 +184,10 @@ impl SealedEnrolment {
     /// [`CryptoError::NotAKey`], [`CryptoError::Version`], [`CryptoError::WrongPassphrase`], or as [`read_private`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self> {
         let bytes = read_private(path, LARGEST)?;
-        let parts = split(path, &bytes)?;
-        let key = FileKey::with(passphrase, parts.0.work, parts.0.salt)?;
-        let keys = parts.0.keys(&key, LABEL).ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
-        let enrolment = open(&keys, parts).ok_or_else(|| damaged(path))?;
+        let file = split(path, &bytes)?;
+        let key = FileKey::with(passphrase, file.head.work, file.head.salt)?;
+        let keys = KIND.keys(&file, &key).ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
+        let enrolment = open(&keys, &file).ok_or_else(|| damaged(path))?;
         Ok(Self { enrolment, key })
     }
 
@@ -226,9 +199,9 @@ impl SealedEnrolment {
             return Ok(());
         }
         let bytes = read_private(path, LARGEST)?;
-        let Ok(parts) = split(path, &bytes) else { return Ok(()) };
-        let keys = parts.0.keys(&self.key, LABEL).filter(|_| parts.0.salt == self.key.salt);
-        if let Some(later) = keys.and_then(|keys| open(&keys, parts))
+        let Ok(file) = split(path, &bytes) else { return Ok(()) };
+        let keys = KIND.keys(&file, &self.key).filter(|_| file.head.salt == self.key.salt);
+        if let Some(later) = keys.and_then(|keys| open(&keys, &file))
             && later.device_id() == self.enrolment.device_id()
             && later.keys.now.epoch >= self.enrolment.keys.now.epoch
         {

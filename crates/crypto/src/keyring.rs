@@ -247,6 +247,11 @@ pub fn read_public(path: &Path) -> Result<PublicIdentity> {
     split(path, &bytes).map(|(header, _, _)| header.public)
 }
 
+/// The same of a keyring's bytes; `None` if they are no keyring.
+pub fn public_of(bytes: &[u8]) -> Option<PublicIdentity> {
+    read_parts(bytes).ok().map(|(header, _, _)| header.public)
+}
+
 /// Whether a file says that it is a keyring.
 pub fn is_keyring_file(path: &Path) -> bool {
     read_private(path, LARGEST).is_ok_and(|bytes| bytes.starts_with(&MAGIC))

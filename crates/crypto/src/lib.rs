@@ -16,6 +16,7 @@ mod gateway_addresses;
 mod gcm;
 pub mod hands;
 pub mod identity;
+pub mod join_file;
 pub mod kdf;
 pub mod kernel;
 pub mod keyfile;
@@ -31,6 +32,7 @@ pub mod provider;
 mod readme_tests;
 pub mod record;
 mod robot_policy;
+mod sealed_file;
 pub mod sealed_stream;
 pub mod secret;
 mod sm2;
@@ -55,6 +57,7 @@ pub use crate::gateway_addresses::GatewayAddresses;
 pub use crate::identity::{
     AccountSignature, Ephemeral, TypedStructure, check_identity, keccak256, prove, recover_account, sign_hash,
 };
+pub use crate::join_file::{JoinFile, JoinKey};
 pub use crate::kernel::{Kernel, KernelError};
 pub use crate::keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
 pub use crate::keystore::{OwnerKeyChange, open_transport_key, seal_transport_key};
@@ -73,6 +76,6 @@ pub use kdf::{
     signer_id, token, topic_filter_id, topic_id, topic_key,
 };
 pub use secret::{
-    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Passphrase,
+    EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, JoinSecret, Passphrase,
     SHORTEST_PASSPHRASE, Sm4Key, SmKeyPair, SmSecret, TopicKey, TransportKey, random_bytes,
 };

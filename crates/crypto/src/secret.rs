@@ -87,6 +87,8 @@ secret_bytes! {
     TransportKey(32);
     /// r: the secret random salt of an epoch, drawn when it begins and not kept.
     EpochSalt(32);
+    /// The key under which a gateway's workers share secrets in their database.
+    JoinSecret(32);
     /// The secret from which the keys of one record are derived; who has it can read this record, and no other.
     RecordSecret(32);
 }

@@ -4,7 +4,7 @@ mod commands;
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Duration;
 
 use commands::{Commands, Waiting};
@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 use crate::command::{Answer, Command, Inner, Part, Request, Speaker, split};
 use crate::crypto::{Provider, SmKeyPair, TransportKey};
 use crate::desk::{Binding, Caller, Desk};
-use crate::error::{Code, Refusal, Result};
+use crate::error::{Code, GatewayError, Refusal, Result};
 use crate::frame::{Assembler, FrameKind, Line, LineError, Message};
 use crate::hello::{Agreed, Context, GatewayHello, Identified, ListSummary, NetworkName, Purpose};
 use crate::limits::{Charge, Limits, Peers, Seat};
@@ -24,7 +24,7 @@ use crate::model::{Digest, ProfileName, Timestamp};
 use crate::receipt::Receipt;
 use crate::server::{Tally, stopped};
 use crate::session::{LONGEST_LIFE, Session};
-use crate::system_keys::{Cabinet, SystemKeyList};
+use crate::system_keys::{Cabinet, Kept};
 
 #[cfg(test)]
 pub(super) use self::agreed_elsewhere::serve_agreed;
@@ -47,7 +47,14 @@ pub(super) struct Shared {
     pub desk: Arc<dyn Desk>,
     pub context: Context,
     pub identity: SmKeyPair,
+    /// Waits for disk or database, so not for network threads.
     pub cabinet: Mutex<Cabinet>,
+    /// What it last had.
+    pub kept: RwLock<Arc<Kept>>,
+    /// Whether other workers have the same cabinet.
+    pub has_workers: bool,
+    /// A retired key's.
+    pub grace: Duration,
     pub peers: Peers,
     /// Held while a name is bound.
     pub binding: tokio::sync::Mutex<()>,
@@ -64,12 +71,32 @@ impl Shared {
         self.peers.limits()
     }
 
-    fn with_cabinet<T>(&self, read: impl FnOnce(&mut Cabinet) -> T) -> T {
-        read(&mut self.cabinet.lock().unwrap_or_else(PoisonError::into_inner))
+    pub fn system_keys(&self) -> Arc<Kept> {
+        Arc::clone(&self.kept.read().unwrap_or_else(PoisonError::into_inner))
     }
 
     fn list(&self) -> (ListSummary, Vec<u8>) {
-        self.with_cabinet(|cabinet| (cabinet.list().summary(self.provider()), cabinet.list().encode()))
+        let kept = self.system_keys();
+        (kept.list.summary(self.provider()), kept.list.encode())
+    }
+
+    /// What a hello announces: no list older than what another worker may have shown.
+    async fn announced(self: &Arc<Self>) -> Result<ListSummary> {
+        if self.has_workers {
+            let shared = Arc::clone(self);
+            let read = tokio::task::spawn_blocking(move || shared.take_over_rotation());
+            read.await.map_err(Refusal::internal)?.map_err(Refusal::internal)?;
+        }
+        Ok(self.list().0)
+    }
+
+    fn take_over_rotation(&self) -> Result<(), GatewayError> {
+        let mut cabinet = self.cabinet.lock().unwrap_or_else(PoisonError::into_inner);
+        cabinet.rotate(Timestamp::now())?;
+        if *cabinet.kept() != *self.system_keys() {
+            *self.kept.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(cabinet.kept().clone());
+        }
+        Ok(())
     }
 
     /// Counts it and reports it to the desk.
@@ -78,13 +105,9 @@ impl Shared {
         self.desk.refused(peer, refusal);
     }
 
-    pub fn system_keys(&self) -> SystemKeyList {
-        self.with_cabinet(|cabinet| cabinet.list().clone())
-    }
-
     /// Only when it is time.
     pub fn rotate(&self) {
-        if let Err(error) = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now())) {
+        if let Err(error) = self.take_over_rotation() {
             self.refused(SocketAddr::from(([0, 0, 0, 0], 0)), &Refusal::internal(error));
         }
     }
@@ -173,7 +196,7 @@ impl Connection {
             }
             _ => return Err(Refusal::new(Code::Malformed, "a frame that is not a hello").into()),
         };
-        let (list, _) = self.shared.list();
+        let list = self.shared.announced().await?;
         let (answer, hello) = GatewayHello::answer(self.shared.context, &self.shared.identity, list, &payload)?;
         self.line.send(FrameKind::Answer, &answer, self.shared.limits().write_time).await?;
         let payload = self.expect(FrameKind::Identify, deadline).await?;

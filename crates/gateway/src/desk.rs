@@ -111,8 +111,9 @@ pub trait Desk: Send + Sync + 'static {
     /// Declared on the chain by the administrator.
     async fn successor(&self, lost: &Address) -> Result<Option<Address>>;
 
-    /// Durable on return. Called one at a time, for a name that is free, the account's, or of one that it succeeds.
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<()>;
+    /// Durable on return. Called one at a time, for a name that is free, the account's, or of one that it succeeds. `before`: the
+    /// account that had it; `NameBound` if another has it by now.
+    async fn bind(&self, name: &ProfileName, before: Option<Address>, binding: Binding) -> Result<()>;
 
     /// Durable on return; acknowledges known records again. Returns the receipt's time.
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp>;

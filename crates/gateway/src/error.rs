@@ -45,6 +45,9 @@ pub enum GatewayError {
     TwoLists(u64),
     #[error("the list of system keys was rejected: {0}; fetch it again, or ask the gateway's operator")]
     List(&'static str),
+    /// What a gateway's workers share cannot be read or written.
+    #[error("{text}")]
+    Shelf { kind: ErrorKind, text: String },
     #[error("the record was erased by its owner; its proof remains")]
     Erased(Box<ErasedRecord>),
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
@@ -86,6 +89,7 @@ impl GatewayError {
             | Self::Receipt(_)
             | Self::Session(_) => ErrorKind::Refused,
             Self::TooLarge(_) => ErrorKind::Input,
+            Self::Shelf { kind, .. } => *kind,
             Self::Crypto(error) => error.kind(),
         }
     }

@@ -143,14 +143,16 @@ pub async fn allocate(
     let account = desk.account(&allocation.account, None).await?;
     same_keys(&account, &allocation.signing, &allocation.envelope)?;
     desk.admits(&allocation.account, None).await?;
-    if let Some(bound) = desk.binding(name).await?
+    let bound = desk.binding(name).await?;
+    if let Some(bound) = &bound
         && bound.account != allocation.account
-        && desk.recalled(&bound).await?.is_none()
+        && desk.recalled(bound).await?.is_none()
         && desk.successor(&bound.account).await? != Some(allocation.account)
     {
         return Err(Refusal::new(Code::NameBound, format_args!("{name} belongs to {}", bound.account)));
     }
     let Allocation { account, key, signing, envelope, .. } = allocation;
-    desk.bind(name, Binding { account, key, signing, envelope, device: None }).await?;
+    let before = bound.map(|bound| bound.account);
+    desk.bind(name, before, Binding { account, key, signing, envelope, device: None }).await?;
     Ok(request.digest(context.provider))
 }

@@ -52,7 +52,7 @@ pub mod trust;
 
 pub use self::chain_line::ChainLine;
 pub use self::error::{Code, Refusal};
-pub use self::system_keys::{Cabinet, Schedule};
+pub use self::system_keys::{Cabinet, Kept, Schedule, Shelf};
 pub use allocation::Applicant;
 pub use client::{Client, Credentials, Endpoint};
 pub use command::{

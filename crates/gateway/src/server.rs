@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use tokio::net::{TcpListener, TcpStream, ToSocketAddrs};
@@ -45,9 +45,12 @@ impl Server {
         let listener = TcpListener::bind(address).await?;
         let address = listener.local_addr()?;
         let identity = cabinet.identity().clone();
+        let (has_workers, grace) = (cabinet.is_shared(), cabinet.grace());
+        let kept = RwLock::new(Arc::new(cabinet.kept().clone()));
         let (cabinet, peers, tally) = (Mutex::new(cabinet), Peers::new(limits), Tally::default());
         let binding = tokio::sync::Mutex::new(());
-        let shared = Arc::new(Shared { desk, context, identity, cabinet, peers, binding, tally });
+        let shared =
+            Arc::new(Shared { desk, context, identity, cabinet, kept, has_workers, grace, peers, binding, tally });
         let (stop, stopping) = watch::channel(false);
         let task = tokio::spawn(listen(listener, Arc::clone(&shared), stopping));
         Ok(Self { address, shared, stop, task })
@@ -108,7 +111,7 @@ impl ServerWatch {
     }
 
     pub fn system_keys(&self) -> SystemKeyList {
-        self.0.system_keys()
+        self.0.system_keys().list.clone()
     }
 }
 

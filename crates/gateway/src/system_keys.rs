@@ -1,19 +1,19 @@
 //! k_s: the system keys for key allocation, in a signed, versioned list that expires. One key is current, one is next.
 
-use std::fs::{self, OpenOptions};
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+mod shelf;
+
+use std::path::Path;
 use std::time::Duration;
 
-use zeroize::Zeroizing;
-
-use crate::crypto::error::shown;
-use crate::crypto::private_file::{create_private, make_private_directory, read_private, write_private};
+use crate::crypto::private_file::make_private_directory;
 use crate::crypto::{CryptoError, Provider, SmKeyPair, SmSecret, signer_id};
 use crate::error::GatewayError;
 use crate::hello::{Agreed, ListSummary};
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Digest, Domain, PublicKey, Signature, SignerId, Timestamp};
+use crate::model::{Digest, Domain, ErrorKind, PublicKey, Signature, SignerId, Timestamp};
+
+use self::shelf::Folder;
+pub use self::shelf::{Kept, Shelf};
 
 const MAGIC: [u8; 8] = *b"\x89AuthSys";
 const VERSION: u8 = 1;
@@ -171,11 +171,6 @@ fn expect(condition: bool, field: &'static str) -> Result<(), WireError> {
     if condition { Ok(()) } else { Err(WireError::Value(field)) }
 }
 
-const LIST: &str = "system-keys.list";
-const SYSTEM_KEY: &str = "system-";
-const SUFFIX: &str = ".key";
-const LONGEST_LIST: usize = 1024;
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Schedule {
     pub lifetime: Duration,
@@ -200,20 +195,23 @@ pub struct Rotation {
     pub erased: usize,
 }
 
+/// Times that other workers may write first.
+const ATTEMPTS: usize = 10;
+
 pub struct Cabinet {
-    directory: PathBuf,
+    shelf: Box<dyn Shelf>,
     provider: &'static dyn Provider,
     domain: Domain,
     schedule: Schedule,
     identity: SmKeyPair,
-    list: SystemKeyList,
-    /// Listed ones, and retired ones in their grace period.
-    keys: Vec<(SystemKey, SmSecret)>,
+    kept: Kept,
+    /// Version of the newest list that clients may have seen.
+    shown: u64,
 }
 
 impl Cabinet {
-    /// Creates missing keys and updates the list. `identity`, which signs it, belongs to the keeper and is stored
-    /// elsewhere.
+    /// In a folder of a home. Creates missing keys and updates the list. `identity`, which signs it, belongs to the keeper and
+    /// is stored elsewhere.
     pub fn open(
         directory: &Path,
         provider: &'static dyn Provider,
@@ -221,133 +219,121 @@ impl Cabinet {
         identity: SmKeyPair,
         schedule: Schedule,
         now: Timestamp,
-    ) -> Result<Self, CryptoError> {
+    ) -> Result<Self, GatewayError> {
         make_private_directory(directory)?;
-        let stored = read_list(&directory.join(LIST), provider, &domain, &identity)?;
-        let directory = directory.to_owned();
-        let mut keys = Vec::new();
-        for key in stored.iter().flat_map(|list| &list.keys) {
-            let secret = read_secret(&key_path(&directory, &key.id()))?;
-            keys.push((*key, secret));
-        }
+        Self::on(Box::new(Folder(directory.to_owned())), provider, domain, identity, schedule, now)
+    }
+
+    /// The same on any shelf.
+    pub fn on(
+        shelf: Box<dyn Shelf>,
+        provider: &'static dyn Provider,
+        domain: Domain,
+        identity: SmKeyPair,
+        schedule: Schedule,
+        now: Timestamp,
+    ) -> Result<Self, GatewayError> {
         // The first one is published as every next one is.
-        let list = match stored {
-            Some(list) => list,
-            None => sign_list(provider, domain, &identity, 0, now, Vec::new())?,
-        };
-        let mut cabinet = Self { directory, provider, domain, schedule, identity, list, keys };
-        if !cabinet.rotate(now)?.published {
-            // Clients refuse the older list of a restored home, which cannot know: each opening signs a newer version.
-            cabinet.publish(now, cabinet.list.keys.clone())?;
-        }
-        cabinet.erase_strays()?;
+        let kept = Kept { list: sign_list(provider, domain, &identity, 0, now, Vec::new())?, keys: Vec::new() };
+        let mut cabinet = Self { shelf, provider, domain, schedule, identity, kept, shown: 0 };
+        cabinet.load()?;
+        // Clients refuse the older list of a restored home, which cannot know: each opening signs a newer version.
+        cabinet.settle(now, true)?;
         Ok(cabinet)
     }
 
     /// Whose list is in a directory; `None` without a readable one.
     pub fn founded_in(directory: &Path) -> Option<SignerId> {
-        let bytes = read_private(&directory.join(LIST), LONGEST_LIST).ok()?;
-        SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
+        shelf::list_in(directory).ok().flatten().map(|list| list.gateway)
     }
 
     pub fn identity(&self) -> &SmKeyPair {
         &self.identity
     }
 
-    pub fn list(&self) -> &SystemKeyList {
-        &self.list
+    /// Whether other workers may change the list, so that it is to be read again before it is shown.
+    pub fn is_shared(&self) -> bool {
+        self.shelf.is_shared()
     }
 
-    /// d_S that still opens allocations.
-    pub fn secret(&self, id: &SignerId, now: Timestamp) -> Option<&SmSecret> {
-        let key = self.keys.iter().find(|(key, _)| key.id() == *id);
-        key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
+    pub fn kept(&self) -> &Kept {
+        &self.kept
+    }
+
+    pub fn grace(&self) -> Duration {
+        self.schedule.grace
     }
 
     /// Replaces an expired current key and erases keys past their grace period; after an error the old list stays in
     /// force.
-    pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, CryptoError> {
-        let mut rotation = Rotation::default();
-        let current_ended = self.list.keys.first().is_none_or(|key| now >= key.not_after);
-        if current_ended {
-            self.publish_next(now)?;
-            rotation.published = true;
+    pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, GatewayError> {
+        if self.is_shared() {
+            self.load()?;
         }
-        rotation.erased = self.erase_retired(now)?;
-        Ok(rotation)
+        self.settle(now, false)
     }
 
-    fn publish(&mut self, now: Timestamp, keys: Vec<SystemKey>) -> Result<(), CryptoError> {
-        // The seconds keep versions increasing even if the list was lost with its file.
-        let version = (self.list.version + 1).max(now.seconds());
-        let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
-        write_private(&self.directory.join(LIST), &list.encode())?;
-        self.list = list;
-        Ok(())
-    }
-
-    fn publish_next(&mut self, now: Timestamp) -> Result<(), CryptoError> {
-        let lifetime = self.schedule.lifetime;
-        let mut keys: Vec<SystemKey> = self.list.keys.iter().copied().filter(|key| now < key.not_after).collect();
-        let mut fresh = Vec::new();
-        while keys.len() < MOST_KEYS {
-            let not_before = keys.last().map_or(now, |key| key.not_after);
-            let (key, secret) = make_key(&self.directory, self.provider, not_before, lifetime)?;
-            keys.push(key);
-            fresh.push((key, secret));
-        }
-        self.publish(now, keys)?;
-        self.keys.extend(fresh);
-        Ok(())
-    }
-
-    fn erase_retired(&mut self, now: Timestamp) -> Result<usize, CryptoError> {
-        let past = |key: &SystemKey| now >= after(key.not_after, self.schedule.grace);
-        let ended: Vec<SignerId> = self.keys.iter().filter(|(key, _)| past(key)).map(|(key, _)| key.id()).collect();
-        for id in &ended {
-            erase(&key_path(&self.directory, id))?;
-            self.keys.retain(|(key, _)| key.id() != *id);
-        }
-        Ok(ended.len())
-    }
-
-    /// Unlisted keys are from a crash before publishing, or were retired while the gateway was down.
-    fn erase_strays(&self) -> Result<(), CryptoError> {
-        let known: Vec<PathBuf> = self.keys.iter().map(|(key, _)| key_path(&self.directory, &key.id())).collect();
-        let entries = fs::read_dir(&self.directory).map_err(CryptoError::read(&self.directory))?;
-        for path in entries.flatten().map(|entry| entry.path()) {
-            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            if name.starts_with(SYSTEM_KEY) && name.ends_with(SUFFIX) && !known.contains(&path) {
-                erase(&path)?;
+    /// Checks that the list is intact, of this gateway and this network.
+    fn load(&mut self) -> Result<(), GatewayError> {
+        self.kept = match self.shelf.read()? {
+            Some(kept) if kept.list.domain != self.domain => {
+                return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" }.into());
             }
-        }
+            Some(kept) => {
+                self.provider.verify(&self.identity.public, &kept.list.signed_bytes(), &kept.list.signature)?;
+                kept
+            }
+            None => Kept { list: self.signed(0, Timestamp(0), Vec::new())?, keys: Vec::new() },
+        };
+        self.shown = self.shown.max(self.kept.list.version);
         Ok(())
     }
-}
 
-fn key_path(directory: &Path, id: &SignerId) -> PathBuf {
-    directory.join(format!("{SYSTEM_KEY}{}{SUFFIX}", &id.to_hex()[..32]))
-}
+    /// Stores what is due, or a newer list in any case.
+    fn settle(&mut self, now: Timestamp, anew: bool) -> Result<Rotation, GatewayError> {
+        for _ in 0..ATTEMPTS {
+            // The shelf of all workers was restored to an earlier moment.
+            let anew = anew || self.kept.list.version < self.shown;
+            let Some(next) = self.due(now, anew)? else { return Ok(Rotation::default()) };
+            let is_gone = |key: &SystemKey| !next.keys.iter().any(|(kept, _)| kept == key);
+            let erased = self.kept.keys.iter().filter(|(key, _)| is_gone(key)).count();
+            let published = next.list.version != self.kept.list.version;
+            if self.shelf.write(&next)? {
+                self.shown = self.shown.max(next.list.version);
+                self.kept = next;
+                return Ok(Rotation { published, erased });
+            }
+            self.load()?;
+        }
+        let text = "other workers of this gateway keep changing its system keys; try again".to_owned();
+        Err(GatewayError::Shelf { kind: ErrorKind::Internal, text })
+    }
 
-fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {
-    let bytes: Zeroizing<Vec<u8>> = read_private(path, 32)?;
-    SmSecret::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
-        path: shown(path),
-        wanted: "an SM2 private key of 32 bytes",
-        found: "it is damaged; restore it, or remove it together with the list to start over".to_owned(),
-    })
-}
+    /// `None` if nothing is.
+    fn due(&self, now: Timestamp, anew: bool) -> Result<Option<Kept>, CryptoError> {
+        let Kept { list, keys } = &self.kept;
+        let is_held = |key: &SystemKey| now < after(key.not_after, self.schedule.grace);
+        let mut held: Vec<(SystemKey, SmSecret)> = keys.iter().filter(|(key, _)| is_held(key)).cloned().collect();
+        if !anew && list.keys.first().is_some_and(|key| now < key.not_after) {
+            return Ok((held.len() < keys.len()).then(|| Kept { list: list.clone(), keys: held }));
+        }
+        let mut listed: Vec<SystemKey> = list.keys.iter().copied().filter(|key| now < key.not_after).collect();
+        while listed.len() < MOST_KEYS {
+            let not_before = listed.last().map_or(now, |key| key.not_after);
+            let pair = SmKeyPair::generate(self.provider)?;
+            let not_after = after(not_before, self.schedule.lifetime);
+            let key = SystemKey { public: pair.public, not_before, not_after };
+            listed.push(key);
+            held.push((key, pair.secret));
+        }
+        // The seconds keep versions increasing even if the list was lost with its file.
+        let version = (list.version.max(self.shown) + 1).max(now.seconds());
+        Ok(Some(Kept { list: self.signed(version, now, listed)?, keys: held }))
+    }
 
-fn make_key(
-    directory: &Path,
-    provider: &dyn Provider,
-    not_before: Timestamp,
-    lifetime: Duration,
-) -> Result<(SystemKey, SmSecret), CryptoError> {
-    let pair = SmKeyPair::generate(provider)?;
-    let key = SystemKey { public: pair.public, not_before, not_after: after(not_before, lifetime) };
-    create_private(&key_path(directory, &key.id()), pair.secret.expose())?;
-    Ok((key, pair.secret))
+    fn signed(&self, version: u64, now: Timestamp, keys: Vec<SystemKey>) -> Result<SystemKeyList, CryptoError> {
+        sign_list(self.provider, self.domain, &self.identity, version, now, keys)
+    }
 }
 
 /// The list lasts as long as its last key.
@@ -361,35 +347,6 @@ fn sign_list(
 ) -> Result<SystemKeyList, CryptoError> {
     let expires_at = keys.last().map_or(now, |key| key.not_after);
     SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
-}
-
-/// `None` without a list; checks that it is intact, of this gateway and this network.
-fn read_list(
-    path: &Path,
-    provider: &dyn Provider,
-    domain: &Domain,
-    identity: &SmKeyPair,
-) -> Result<Option<SystemKeyList>, CryptoError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let list = SystemKeyList::parse(&read_private(path, LONGEST_LIST)?)
-        .map_err(CryptoError::malformed("list of system keys"))?;
-    if list.domain != *domain {
-        return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" });
-    }
-    provider.verify(&identity.public, &list.signed_bytes(), &list.signature)?;
-    Ok(Some(list))
-}
-
-/// Overwrites a key before its removal. Journals and flash may keep copies: an encrypted disk prevents that.
-fn erase(path: &Path) -> Result<(), CryptoError> {
-    let write = CryptoError::write(path);
-    let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;
-    file.write_all(&[0; 32]).and_then(|()| file.sync_all()).map_err(&write)?;
-    fs::remove_file(path).map_err(&write)?;
-    let directory = path.parent().unwrap_or(path);
-    fs::File::open(directory).and_then(|directory| directory.sync_all()).map_err(&write)
 }
 
 #[cfg(test)]

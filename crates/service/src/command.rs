@@ -261,6 +261,8 @@ requests! {
     TestAlert => AlertTestView, OWNER;
     /// Who is connected to the gateway of this site, its system keys, and its refusals.
     GatewayStatus => GatewayStatusView, LOOK;
+    /// The file that makes another machine a worker of this gateway, sealed; with `renew` under a new join key.
+    MakeJoinFile { passphrase: SecretText, renew: bool } => SecretBytes, PASSPHRASE;
     /// Let an owner use the gateway of this home.
     Admit { owner: Party } => Vec<AdmittedView>, OWNER;
     /// No longer let an owner use it.

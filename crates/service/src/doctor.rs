@@ -15,8 +15,8 @@ use crate::pipeline::{network_pin_at, network_pin_in};
 use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::{STORE_LOST, is_bound, keyring_faults, misses_store, other_gateway, store_loss};
-use crate::store::notes::{ProfileAccounts, StoreWasGone};
+use crate::site::{STORE_LOST, is_bound, join_key, keyring_faults, misses_store, other_gateway, store_loss};
+use crate::store::notes::{ProfileAccounts, SharedSystemKeys, StoreWasGone};
 use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// What a running site says of itself, and of its chain if that answers.
@@ -426,6 +426,10 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
     let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
     if let Some(text) = other_gateway(&known, glance.path(), home) {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);
+    } else if let Ok(Some(shared)) = glance.note(&SharedSystemKeys {})
+        && let Err(failure) = join_key(home, shared.join)
+    {
+        sheet.fail("join key", &failure.message, "run `authros gateway join FILE` with a new join file");
     }
     Some(glance)
 }

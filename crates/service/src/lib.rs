@@ -22,6 +22,7 @@ pub mod event;
 pub mod failure;
 mod figures;
 pub mod hub;
+pub mod joining;
 pub mod looking;
 pub mod reply;
 pub mod restoring;

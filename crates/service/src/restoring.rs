@@ -3,7 +3,7 @@
 use std::fs::{self, File};
 use std::io;
 use std::os::unix::fs::DirBuilderExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::command::SecretText;
 use super::failure::{input, refused};
@@ -19,16 +19,11 @@ use crate::store::{archive, files, note_restored, snapshot};
 /// absent; on failure the home is unchanged.
 pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView> {
     let passphrase = Passphrase::new(secret.expose().to_owned())?;
-    let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
-    is_free(&root)?;
-    let parent = root.parent().ok_or_else(|| input("a home cannot be the root directory; choose another --home"))?;
-    fs::create_dir_all(parent).map_err(|error| unmade(parent, &error))?;
+    let place = FreePlace::of(home)?;
     let opened = File::open(file).map_err(|error| unread(file, &error))?;
     let mut sealed =
         SealedReader::open(io::BufReader::new(opened), &passphrase).map_err(|error| unread(file, &error))?;
-    unfinished::sweep(parent).map_err(|error| unmade(parent, &error))?;
-    let folder = UnfinishedFolder::new(parent).map_err(|error| unmade(parent, &error))?;
-    files::check_hands(folder.path())?;
+    let folder = place.begin()?;
     let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
     fault::point("restore-unpacked");
     let copied = Home::new(folder.path().to_owned());
@@ -39,11 +34,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     snapshot::renew_ledger(&copied.ledger())?;
     let has_ring = note_restored(&copied.ring())?;
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
-    is_free(&root)?;
-    let apart = settings_apart(home, folder.path())?;
-    // Fails unless the target is an empty directory or absent.
-    fs::rename(folder.path(), &root).map_err(|error| unmade(&root, &error))?;
-    File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
+    let apart = place.take(&folder)?;
     let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
     let mut notes = vec![
         "new records are numbered from 1 under a new recorder; nonces are read from the chain".to_owned(),
@@ -55,9 +46,48 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
                 .to_owned(),
         );
     }
-    // The home is complete by now: what cannot be moved is used in place.
-    notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
+    notes.extend(apart);
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
+}
+
+/// Where a home may begin: it is absent or an empty folder.
+pub(super) struct FreePlace<'a> {
+    home: &'a Home,
+    root: PathBuf,
+}
+
+impl<'a> FreePlace<'a> {
+    pub fn of(home: &'a Home) -> Result<Self> {
+        let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
+        is_free(&root)?;
+        Ok(Self { home, root })
+    }
+
+    fn parent(&self) -> Result<&Path> {
+        self.root.parent().ok_or_else(|| input("a home cannot be the root directory; choose another --home"))
+    }
+
+    /// A folder beside it, which is removed if it does not become the home.
+    pub fn begin(&self) -> Result<UnfinishedFolder> {
+        let parent = self.parent()?;
+        fs::create_dir_all(parent).map_err(|error| unmade(parent, &error))?;
+        unfinished::sweep(parent).map_err(|error| unmade(parent, &error))?;
+        let folder = UnfinishedFolder::new(parent).map_err(|error| unmade(parent, &error))?;
+        files::check_hands(folder.path())?;
+        Ok(folder)
+    }
+
+    /// Makes the folder the home; returns what is to be said of settings that belong outside it.
+    pub fn take(&self, folder: &UnfinishedFolder) -> Result<Vec<String>> {
+        let (root, parent) = (&self.root, self.parent()?);
+        is_free(root)?;
+        let apart = settings_apart(self.home, folder.path())?;
+        // Fails unless the target is an empty directory or absent.
+        fs::rename(folder.path(), root).map_err(|error| unmade(root, &error))?;
+        File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
+        // The home is complete by now: what cannot be moved is used in place.
+        Ok(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)).collect())
+    }
 }
 
 fn is_free(root: &Path) -> Result<()> {
@@ -79,7 +109,7 @@ fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static s
 }
 
 fn occupied(place: &Path, how: &str) -> Failure {
-    let advice = "move it away, or restore into another --home";
+    let advice = "move it away, or use another --home";
     refused(format!("{} {how} and will not be overwritten; {advice}", shown(place)))
 }
 
@@ -120,7 +150,7 @@ fn shown(path: &Path) -> String {
 }
 
 fn unmade(path: &Path, error: &io::Error) -> Failure {
-    Failure::new(ErrorKind::Home, format!("{} cannot be created: {error}; nothing was restored", shown(path)))
+    Failure::new(ErrorKind::Home, format!("{} cannot be created: {error}; nothing was changed", shown(path)))
 }
 
 fn unread(path: &Path, error: &io::Error) -> Failure {

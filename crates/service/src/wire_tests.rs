@@ -83,6 +83,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"lock"}"#,
     r#"{"command":"hold_capture","hold":true}"#,
     r#"{"command":"back_up_keys"}"#,
+    r#"{"command":"make_join_file","passphrase":"p","renew":true}"#,
     r#"{"command":"restore_keys","path":"/k.keyring","passphrase":"p"}"#,
     r#"{"command":"list_alerts"}"#,
     r#"{"command":"test_alert"}"#,

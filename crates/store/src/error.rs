@@ -46,6 +46,8 @@ pub enum StoreError {
     Database { file: PathBuf, detail: String },
     #[error("store.url cannot be used: {detail}; write postgres://USER:PASSWORD@HOST/DATABASE")]
     ServerUrl { detail: String },
+    #[error("the password of store.url is read from the file in PGPASSFILE: {0}")]
+    Password(String),
     #[error("{} cannot be reached: {detail}; start it, or correct store.url", server.display())]
     ServerAway { server: PathBuf, detail: String },
     #[error("{} refuses this program: {detail}; {remedy}", server.display())]
@@ -119,6 +121,7 @@ impl StoreError {
             | Self::Cursor(_)
             | Self::Nul { .. }
             | Self::ServerUrl { .. }
+            | Self::Password(_)
             | Self::CacheUrl { .. } => ErrorKind::Input,
             Self::Corrupt { .. } | Self::Note { .. } => ErrorKind::Tampered,
             Self::CacheAway { .. } | Self::ServerAway { .. } | Self::ServerCrowded { .. } | Self::Unknown { .. } => {
@@ -175,7 +178,9 @@ impl StoreError {
 
 fn remedy(refusal: Refusal) -> &'static str {
     match refusal {
-        Refusal::Login => "correct user and password in store.url, or what the server's pg_hba.conf allows",
+        Refusal::Login => {
+            "correct user and password in store.url (or PGPASSWORD, or PGPASSFILE), or what the server's pg_hba.conf allows"
+        }
         Refusal::Database => "create the database there, or correct store.url",
         Refusal::Taken => "name a database of its own in store.url",
         Refusal::Rights => "make the user of store.url the owner of its database",

@@ -116,6 +116,8 @@ notes! {
     GrantedFrom { transaction: Hash } = "granted from": u64, "from which epoch on a grant opens records";
 
     AdmittedOwners {} = "admitted": Vec<AdmittedOwner>, "the owners allowed at the gateway";
+    /// Of a gateway on a server.
+    SharedSystemKeys {} = "system keys": SealedSystemKeys, "the system keys of the gateway's workers";
     /// The epoch that the revocation will begin.
     AnnouncedRevoke { owner: Address, reader: Address } = "announced revoke": u64, "an announced revocation";
 
@@ -278,6 +280,17 @@ pub struct AdmittedOwner {
     pub by: String,
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SealedSystemKeys {
+    /// Number of the join key that the secrets are sealed under.
+    pub join: u64,
+    /// The signed list, hex.
+    pub list: String,
+    /// Hex.
+    pub secrets: String,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FeedTaken {
@@ -390,6 +403,21 @@ impl Notes {
             self.write(note, &value)?;
         }
         Ok(answer)
+    }
+
+    /// Only if its value is still `before`, `None` for no note: of several programs one succeeds.
+    pub fn replace<N: Note>(&self, note: &N, before: Option<&N::Value>, value: &N::Value) -> Result<bool, StoreError> {
+        let [kind, about, value] = row(note, value)?;
+        let changed = match before {
+            None => {
+                self.0.changed("INSERT INTO notes VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", [kind, about, value])?
+            }
+            Some(before) => {
+                let sql = "UPDATE notes SET value = ?3 WHERE kind = ?1 AND about = ?2 AND value = ?4";
+                self.0.changed(sql, [kind, about, value, text(note, before)?])?
+            }
+        };
+        Ok(changed > 0)
     }
 
     /// Only if the value is the same.

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::{fs, io};
 
 use authros_fuzz::{
-    Sample, backup, bundle, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr,
-    sm2, state_proof, time_stamp,
+    Sample, backup, bundle, decoder, export_folder, frame, join_file, key_allocation, picture, proof, record,
+    recording, ros2_cdr, sm2, state_proof, time_stamp,
 };
 
 /// Name, valid encodings, and their target.
@@ -15,13 +15,14 @@ type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {
     let write = std::env::args().nth(1).is_some_and(|word| word == "write");
-    let targets: [Target; 15] = [
+    let targets: [Target; 16] = [
         ("frame", frame::samples(), frame::run),
         ("key_allocation", key_allocation::samples(), key_allocation::run),
         ("record", record::samples(), record::run),
         ("proof", proof::samples(), proof::run),
         ("export_folder", export_folder::samples(), export_folder::run),
         ("backup", backup::samples(), backup::run),
+        ("join_file", join_file::samples(), join_file::run),
         ("decoder", decoder::samples(), decoder::run),
         ("picture", picture::samples(), picture::run),
         ("bag", recording::bags(), recording::bag),

@@ -6,6 +6,7 @@ pub mod bundle;
 pub mod decoder;
 pub mod export_folder;
 pub mod frame;
+pub mod join_file;
 pub mod key_allocation;
 pub mod picture;
 pub mod proof;

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use authros_fuzz::{
-    backup, bundle, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr, sm2,
-    state_proof, time_stamp,
+    backup, bundle, decoder, export_folder, frame, join_file, key_allocation, picture, proof, record, recording,
+    ros2_cdr, sm2, state_proof, time_stamp,
 };
 
 /// Replays a target's files; returns how many there are, and how many were fully accepted.
@@ -34,6 +34,7 @@ replay! {
     proof: proof::run;
     export_folder: export_folder::run;
     backup: backup::run;
+    join_file: join_file::run;
     decoder: decoder::run;
     picture: picture::run;
     bag: recording::bag;
@@ -49,5 +50,5 @@ replay! {
 fn every_target_is_replayed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let targets = fs::read_dir(root.join("fuzz_targets")).expect("readable").count();
-    assert_eq!(targets, 15, "a new target belongs into the list above");
+    assert_eq!(targets, 16, "a new target belongs into the list above");
 }

@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::model::ErrorKind;
-use crate::{CryptoError, EpochKey, Passphrase};
+use crate::{CryptoError, EpochKey, Passphrase, ProviderName, provider};
 
 fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
     EpochIssue { epoch, token: Token([7; 32]), ends: (epoch == 3).then_some(Timestamp(9)), key }

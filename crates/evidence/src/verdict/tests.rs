@@ -6,7 +6,7 @@ use authros_model::{Address, Timestamp};
 use serde_json::Value;
 use strum::VariantArray as _;
 
-use super::facts::{Fact, Facts, Fields, STANDINGS};
+use super::facts::{Fact, Facts, Fields};
 use super::*;
 use crate::report::{Outcome, Reason, Standing};
 use crate::tests::world::{World, ours, sealed};
@@ -89,7 +89,7 @@ fn longest(flags: [&str; 2], items: usize, name: &str) -> Facts {
         let level = |(letter, name): (&char, &String)| format!("({letter}) {name}: {standing}");
         text(&WORDING.levels.iter().map(level).collect::<Vec<_>>().join("; "))
     };
-    let every = STANDINGS.map(|standing| format!("1,000,000 {}", standing.word())).join(", ");
+    let every = Standing::VARIANTS.map(|standing| format!("1,000,000 {}", standing.word())).join(", ");
     let raw = raw();
     let mut all: Fields = fields(&raw["facts"]).into_keys().map(|name| (name, Fact::Number(1_000_000))).collect();
     all.extend(ONE_OF.map(|flag| (flag, Fact::Number(u64::from(flags.contains(&flag))))));

@@ -36,7 +36,7 @@ impl Shared {
             Request::Relay(call) => relayed(self.desk.as_ref(), None, &call).await,
             Request::KeyAllocation(request) => {
                 let now = Timestamp::now();
-                let secret = self.with_cabinet(|cabinet| cabinet.secret(&request.system_key, now).cloned());
+                let secret = self.system_keys().secret(&request.system_key, now, self.grace).cloned();
                 // One at a time: nobody else writes a binding between reading and writing it.
                 let _held = self.binding.lock().await;
                 let desk = self.desk.as_ref();

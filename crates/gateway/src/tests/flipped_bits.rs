@@ -137,7 +137,7 @@ fn record_kept(stage: &Stage) -> crate::gateway::desk::Received {
 /// A request of each Command without a transport key, accepted by the desk.
 fn accepted_without_key(stage: &Stage, member: &Member) -> Vec<Request> {
     let shared = stage.server.shared();
-    let key = shared.cabinet.lock().expect("not poisoned").list().keys[0];
+    let key = shared.system_keys().list.keys[0];
     let (_, body) = apply(&context(), &agreed(stage), &key, &member.applicant()).expect("applies");
     let allocation = Request::parse(Command::KeyAllocation, &body).expect("parses");
     vec![allocation, Request::SystemKeys, Request::Ping]

@@ -213,7 +213,7 @@ impl Desk for MemoryDesk {
         Ok(self.state().successors.get(lost).copied())
     }
 
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, name: &ProfileName, _: Option<Address>, binding: Binding) -> Result<(), Refusal> {
         let mut state = self.state();
         state.bindings.insert(name.clone(), binding);
         state.ring();

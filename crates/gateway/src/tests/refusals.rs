@@ -104,7 +104,7 @@ async fn for_allocation(stage: &Stage, name: &str) -> (Line, Session, Agreed, Sy
     let agreed = *client.agreed();
     let (identify, session) = client.identify(&name.parse().expect("a name"), None).expect("seals");
     line.send(FrameKind::Identify, &identify, PATIENCE).await.expect("sends");
-    let key = stage.server.shared().cabinet.lock().expect("not poisoned").list().keys[0];
+    let key = stage.server.shared().system_keys().list.keys[0];
     (line, session, agreed, key)
 }
 
@@ -154,7 +154,7 @@ async fn allocations_are_refused_each_with_its_code() {
         let (_, body) = apply(&context(), agreed, key, &bob.applicant()).expect("applies");
         AllocationRequest::parse(&body).expect("parses")
     };
-    let current = stage.server.shared().cabinet.lock().expect("not poisoned").list().keys[0];
+    let current = stage.server.shared().system_keys().list.keys[0];
     let found = allocate(&stage, here, |request, agreed| request.signature = by_bob(agreed, &current).signature).await;
     cases.push(case("another user's SM2 signature", Code::Signature, found));
     let found = allocate(&stage, here, |request, agreed| {

@@ -114,6 +114,7 @@ impl Command {
             | Self::ListAlerts
             | Self::TestAlert
             | Self::GatewayStatus
+            | Self::MakeJoinFile { .. }
             | Self::Admit { .. }
             | Self::Dismiss { .. }
             | Self::ListAdmitted => None,

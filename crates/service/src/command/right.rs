@@ -49,6 +49,7 @@ impl Kind {
             "enrol_device",
             "back_up",
             "restore_keys",
+            "make_join_file",
         ];
         with.contains(&self.command.as_str())
     }

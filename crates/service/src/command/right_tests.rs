@@ -76,6 +76,7 @@ const PASSPHRASE: &[&str] = &[
     "enrol_device",
     "back_up",
     "restore_keys",
+    "make_join_file",
 ];
 
 /// What a gateway's home on a server leaves to other homes.

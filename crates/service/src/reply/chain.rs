@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{AdministrationView, AlarmView, RecordView};
 use crate::chain::{Pin, Sealing, Shortfall};
-use crate::model::{Address, Digest, Domain, ErrorKind, Hash, PinMode, Publisher, SignerId, Timestamp, Wei};
+use crate::model::{
+    Address, Digest, Domain, ErrorKind, Hash, PinMode, ProfileName, Publisher, SignerId, Timestamp, Wei,
+};
 use crate::pipeline::sender::LaneState;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,6 +97,8 @@ pub struct GatewayView {
     /// Anchors the records.
     pub account: Address,
     pub domain: Domain,
+    /// Where robots and owners reach it and the other workers, if the settings say so.
+    pub addresses: Vec<String>,
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,6 +109,31 @@ pub struct BackupView {
     pub bytes: u64,
     pub profiles: Vec<String>,
     /// What it does not contain.
+    pub notes: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JoinStanding {
+    /// The home is new.
+    Joined,
+    /// It has a newer join key.
+    Renewed,
+    /// It had this join key already.
+    Unchanged,
+}
+
+/// A home that is a worker of a gateway.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JoinedView {
+    pub standing: JoinStanding,
+    pub profile: ProfileName,
+    pub account: Address,
+    pub gateway: SignerId,
+    /// The database, without user and password.
+    pub store: String,
+    /// Where robots and owners reach the gateway, if the settings say so.
+    pub addresses: Vec<String>,
     pub notes: Vec<String>,
 }
 

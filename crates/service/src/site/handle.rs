@@ -203,6 +203,7 @@ impl Site {
             ListAlerts => self.alerts_view().await;
             TestAlert => self.test_alert().await;
             GatewayStatus => self.gateway.status();
+            MakeJoinFile { passphrase, renew } => self.gateway.join_file(&profile, &passphrase, renew).await;
             Admit { owner } => self.admissions.admit(&profile, &owner).await;
             Dismiss { owner } => self.admissions.dismiss(&profile, &owner).await;
             ListAdmitted => self.admissions.rows();

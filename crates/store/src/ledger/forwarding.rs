@@ -163,14 +163,17 @@ impl Bindings {
         self.0.find("SELECT key FROM signers WHERE id = ?1", [id.0], |row| row.get(0).map(PublicKey))
     }
 
-    /// Replaces the name's previous binding.
-    pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
+    /// `before`: the account that had the name; `false` if another one has it by now, and nothing is changed.
+    pub fn bind(&self, name: &ProfileName, before: Option<Address>, binding: KeptBinding) -> Result<bool, StoreError> {
         let KeptBinding { account, signing, envelope, sealed_key, device } = binding;
         let (device, notices) = device.map(|(device, notices)| (device.0, notices.0)).unzip();
         let sql = "INSERT INTO bindings VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (name) DO UPDATE SET
             account = excluded.account, signing = excluded.signing, envelope = excluded.envelope,
-            sealed_key = excluded.sealed_key, device = excluded.device, notices = excluded.notices";
-        self.0.run(sql, (name.to_string(), account.0, signing.0, envelope.0, sealed_key, device, notices))
+            sealed_key = excluded.sealed_key, device = excluded.device, notices = excluded.notices
+            WHERE bindings.account = ?8";
+        let before = before.map(|account| account.0);
+        let values = (name.to_string(), account.0, signing.0, envelope.0, sealed_key, device, notices, before);
+        Ok(self.0.changed(sql, values)? > 0)
     }
 
     /// Does nothing if another key is bound meanwhile.

@@ -34,8 +34,8 @@ use super::*;
 use crate::crypto::merkle::{Leaf, Tree};
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
-    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
-    SignerId, Timestamp, TopicId, TopicPatterns,
+    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, ProfileName, PublicKey, RecordKind, RecordState,
+    RecorderId, Signature, SignerId, Timestamp, TopicId, TopicPatterns,
 };
 use crate::notes::Revoking;
 use crate::{Ciphertext, Usage};
@@ -407,6 +407,42 @@ fn of_changes_of_a_note_at_once_none_is_lost() {
 }
 
 #[test]
+fn a_note_is_replaced_only_as_it_was_read() {
+    let (_home, ledger) = open();
+    let (note, notes) = (Revoking { owner: Address([1; 20]) }, &ledger.notes);
+    let [one, two] = [1, 2].map(|name| vec![Address([name; 20])]);
+    assert_eq!(notes.replace(&note, Some(&one), &two), Ok(false), "there is none yet");
+    assert_eq!(notes.replace(&note, None, &one), Ok(true));
+    assert_eq!(notes.replace(&note, None, &two), Ok(false), "somebody was first");
+    assert_eq!(notes.replace(&note, Some(&two), &two), Ok(false), "it says something else");
+    assert_eq!(notes.read(&note), Ok(Some(one.clone())));
+    assert_eq!(notes.replace(&note, Some(&one), &two), Ok(true));
+    assert_eq!(notes.read(&note), Ok(Some(two)));
+}
+
+#[test]
+fn a_name_goes_to_another_account_only_from_the_one_that_was_asked() {
+    let (_home, ledger) = open();
+    let name: ProfileName = "scout".parse().expect("a name");
+    let of = |number: u8| KeptBinding {
+        account: Address([number; 20]),
+        signing: PublicKey([number; 64]),
+        envelope: PublicKey([number; 64]),
+        sealed_key: vec![number; 60],
+        device: None,
+    };
+    let bind = |before: Option<u8>, number| ledger.bindings.bind(&name, before.map(|of| Address([of; 20])), of(number));
+    assert_eq!(bind(None, 1), Ok(true));
+    assert_eq!(bind(None, 2), Ok(false), "another worker was first");
+    assert_eq!(bind(Some(2), 2), Ok(false));
+    let account = || ledger.bindings.binding(&name).expect("read").map(|kept| kept.account);
+    assert_eq!(account(), Some(Address([1; 20])));
+    assert_eq!(bind(Some(1), 1), Ok(true), "a new key of the same account");
+    assert_eq!(bind(Some(1), 2), Ok(true), "its successor");
+    assert_eq!(account(), Some(Address([2; 20])));
+}
+
+#[test]
 fn small_state_is_kept() {
     let (home, ledger) = open();
     ledger.notes.write(&CopiedAt {}, &1).expect("kept");
@@ -535,7 +571,8 @@ server::on_a_server! {
     records_are_held_back_while_the_space_is_for_something_else, a_panic_in_the_writer_is_an_error_to_its_caller_alone,
     a_record_walks_its_life_line, submitting_refuses_what_is_not_ready_and_a_taken_nonce,
     a_failed_transaction_gives_its_records_back, a_reorg_reopens_own_transactions_and_stores_the_rest_again,
-    ids_are_prefixes_of_digests, of_changes_of_a_note_at_once_none_is_lost,
+    ids_are_prefixes_of_digests, of_changes_of_a_note_at_once_none_is_lost, a_note_is_replaced_only_as_it_was_read,
+    a_name_goes_to_another_account_only_from_the_one_that_was_asked,
     a_path_is_read_as_it_was_kept_however_many_leaves_there_are,
     who_waits_for_the_file_keeps_no_other_task_of_a_runtime_waiting,
 }

@@ -58,6 +58,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<GrantedTopic>(text()),
         of::<GrantedFrom>(1),
         of::<AdmittedOwners>(vec![AdmittedOwner { owner: address, since: at, by: text() }]),
+        of::<SharedSystemKeys>(SealedSystemKeys { join: 12, list: text(), secrets: text() }),
         of::<AnnouncedRevoke>(12),
         of::<ErasuresTold>(12),
         of::<TakenOfFeed>(taken),

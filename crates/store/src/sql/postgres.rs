@@ -18,6 +18,7 @@ use tokio_postgres::{AsyncMessage, Socket, tls};
 use super::{Error, Kind, Params, Refusal, Result, dialect};
 use crate::model::clean;
 
+mod password;
 mod server;
 mod values;
 

@@ -110,7 +110,7 @@ impl Desk for BenchDesk {
         not_measured()
     }
 
-    async fn bind(&self, _: &ProfileName, _: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, _: &ProfileName, _: Option<Address>, _: Binding) -> Result<(), Refusal> {
         not_measured()
     }
 

@@ -379,6 +379,7 @@ fn gateway() -> GatewayStatusView {
             fingerprint: "5a1f 09c2 77e0 41bd 5a1f 09c2 77e0 41bd".to_owned(),
             account: OWN,
             domain: Domain([4; 32]),
+            addresses: Vec::new(),
         }),
         through: None,
         connections: 2,

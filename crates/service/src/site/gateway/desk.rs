@@ -253,7 +253,7 @@ impl Desk for GatewayDesk {
         Ok(self.known_network()?.directory.successor(*lost))
     }
 
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, name: &ProfileName, before: Option<Address>, binding: Binding) -> Result<(), Refusal> {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
@@ -270,7 +270,10 @@ impl Desk for GatewayDesk {
             let sealed_key = sealed_key.map_err(Refusal::internal)?;
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
-            desk.ledger().bindings.bind(&name, kept).map_err(Refusal::internal)
+            if desk.ledger().bindings.bind(&name, before, kept).map_err(Refusal::internal)? {
+                return Ok(());
+            }
+            Err(Refusal::new(Code::NameBound, format_args!("another worker gave {name} to another account meanwhile")))
         });
         let bound = bound.await;
         let told = bound.as_ref().copied().map_err(|refusal| internal(refusal.detail.clone()));

@@ -9,6 +9,7 @@ mod cut_off_tests;
 pub(super) mod desk;
 mod erasing;
 mod reading;
+pub(crate) mod workers;
 
 use crate::site::gateway::admissions::Admissions;
 use crate::site::mirror::remote::Remote;
@@ -23,7 +24,7 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-use crate::crypto::{Fingerprint, SmKeyPair};
+use crate::crypto::{Fingerprint, SmKeyPair, signer_id};
 use crate::gateway::server::Sender;
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server, ServerWatch};
 use crate::model::{Address, AnchorMode, Domain, ProfileName, SignerId, Timestamp, natural};
@@ -165,6 +166,7 @@ impl Gateway {
             fingerprint: Fingerprint::of(&keeper.gateway_identity().public).to_string(),
             account: keeper.address,
             domain: network.domain,
+            addresses: self.parts.config.gateway_addresses.clone(),
         };
         self.parts.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.parts.hub.inform(&format!("the gateway is listening at {}", view.address));
@@ -201,8 +203,14 @@ impl Gateway {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.parts.plant.provider;
         let cabinet = block_in_place(|| {
-            let (directory, identity) = (self.parts.home.gateway(), keeper.gateway_identity());
-            Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
+            let (identity, schedule, now) = (keeper.gateway_identity(), Schedule::default(), Timestamp::now());
+            if !self.parts.is_on_server() {
+                return Cabinet::open(&self.parts.home.gateway(), provider, *domain, identity, schedule, now);
+            }
+            let (notes, home) = (self.parts.plant.ledger.notes.clone(), self.parts.home.clone());
+            let gateway = signer_id(&identity.public);
+            let shelf = workers::SharedShelf { notes, home, provider, domain: *domain, gateway, seen: None };
+            Cabinet::on(Box::new(shelf), provider, *domain, identity, schedule, now)
         })?;
         let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });
         let context = Context { provider, domain: *domain };

@@ -94,7 +94,9 @@ impl Profiles {
                 path.display()
             )));
         }
-        let known = self.known_accounts()?.remove(&profile);
+        let mut others = self.known_accounts()?;
+        let known = others.remove(&profile);
+        others.retain(|other, _| !self.parts.home.keyring(other).exists());
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let opened = blocking(self, {
             let profile = profile.clone();
@@ -103,7 +105,7 @@ impl Profiles {
                     Some(accounts) if !accounts.contains(&public.address) => {
                         Err(refused(foreign_keyring(&saved, public.address, &profile, &accounts)))
                     }
-                    _ => Ok(()),
+                    _ => check_missing(&others, public.address, &saved),
                 })
             }
         });
@@ -423,6 +425,16 @@ fn foreign_keyring(path: &Path, found: Address, profile: &ProfileName, accounts:
         path.display(),
         either(accounts)
     )
+}
+
+/// Refuses the keyring of another profile whose keyring is gone: that profile could not be opened afterwards.
+fn check_missing(others: &Accounts, account: Address, saved: &Path) -> Result<()> {
+    let Some((other, _)) = others.iter().find(|(_, accounts)| accounts.contains(&account)) else { return Ok(()) };
+    let file = saved.display();
+    Err(refused(format!(
+        "{file} is the keyring of profile '{other}' of this home, account {account}: run `authros --profile {other} keys \
+         restore {file}`"
+    )))
 }
 
 fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Option<String> {

@@ -12,7 +12,7 @@ use tokio_postgres::tls::{MakeTlsConnect, NoTls, TlsConnect};
 use tokio_postgres::{Config, Socket};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
-use super::{Client, detail_of, drive, kind_of_state, wait};
+use super::{Client, detail_of, drive, kind_of_state, password, wait};
 use crate::StoreError;
 use crate::model::{Timestamp, clean, coarse};
 use crate::sql::{Error, Kind, Refusal, Result};
@@ -20,10 +20,11 @@ use crate::sql::{Error, Kind, Refusal, Result};
 const PATIENCE: Duration = Duration::from_secs(5);
 /// A silent peer is asked, and given up some seconds later.
 const SILENCE: Duration = Duration::from_secs(10);
-const USUAL_PORT: u16 = 5432;
+pub(super) const USUAL_PORT: u16 = 5432;
 const SCHEMES: [&str; 2] = ["postgres://", "postgresql://"];
 /// The client's own words.
 const NO_WRITES: &str = "database does not allow writes";
+const NO_PASSWORD: &str = "password missing";
 
 /// What a user's or the database's own settings must not change: nothing ends a commit that waits for a standby.
 const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_session_timeout = 0; SET lock_timeout = 0;
@@ -94,6 +95,11 @@ impl Server {
         let mut config: Config = url.parse().map_err(|_| refused("it is not an address of a database"))?;
         if config.get_hosts().is_empty() {
             return Err(refused("it names no host"));
+        }
+        if config.get_password().is_none()
+            && let Some(password) = password::of_environment(&config)?
+        {
+            config.password(password.as_bytes());
         }
         let is_remote = config.get_hosts().iter().any(is_remote)
             || config.get_hostaddrs().iter().any(|address| !address.is_loopback());
@@ -218,11 +224,14 @@ pub(crate) fn apart(ahead: i64) -> Option<String> {
     (length > APART).then(|| format!("{} {word}", coarse(length)))
 }
 
-/// Of an error that no server named. The client refuses a server that takes no writes by an error of its own.
+/// Of an error that no server named. The client refuses a server that takes no writes, or asks for a password that there is not,
+/// by errors of its own.
 fn kind_of_connecting(error: &tokio_postgres::Error) -> Kind {
-    let cause = std::error::Error::source(error).and_then(|cause| cause.downcast_ref::<std::io::Error>());
-    let takes_no_writes = cause.is_some_and(|cause| cause.to_string() == NO_WRITES);
-    if takes_no_writes { Kind::Standby } else { Kind::Broken }
+    match std::error::Error::source(error).map(ToString::to_string).as_deref() {
+        Some(NO_WRITES) => Kind::Standby,
+        Some(NO_PASSWORD) => Kind::Refused(Refusal::Login),
+        _ => Kind::Broken,
+    }
 }
 
 fn may_write(client: &Client) -> Result<()> {

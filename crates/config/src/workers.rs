@@ -1,0 +1,87 @@
+//! The settings that all workers of a gateway share, as a join file brings them: without passwords of the database.
+
+use crate::Config;
+use crate::read::Source;
+
+const SHARED: [&str; 19] = [
+    "chain.url",
+    "chain.roots",
+    "chain.contract",
+    "chain.max_fee",
+    "chain.min_price",
+    "store.url",
+    "store.roots",
+    "retention",
+    "anchor.mode",
+    "anchor.lanes",
+    "audit.anchor_every",
+    "audit.scrub",
+    "time.authorities",
+    "confirmations",
+    "gateway.admission",
+    "gateway.addresses",
+    "gateway.quota_bytes",
+    "gateway.quota_names",
+    "gateway.quota_streams",
+];
+
+impl Config {
+    /// `config.toml` of another worker.
+    pub fn of_workers(&self) -> String {
+        let line = |name: &&str| {
+            let (value, source) = self.values.get(*name)?;
+            let value = if *name == "store.url" { without_password(value) } else { value.clone() };
+            (*source != Source::Default).then(|| format!("{name} = {}\n", toml::Value::String(value)))
+        };
+        SHARED.iter().filter_map(line).collect()
+    }
+}
+
+/// In both places that PostgreSQL's URLs have for one.
+fn without_password(url: &str) -> String {
+    let (before, parameters) = url.split_once('?').map_or((url, None), |(before, rest)| (before, Some(rest)));
+    let (scheme, rest) = before.split_once("://").unwrap_or(("postgres", before));
+    let rest = match rest.rsplit_once('@') {
+        Some((user, place)) => format!("{}@{place}", user.split(':').next().unwrap_or_default()),
+        None => rest.to_owned(),
+    };
+    let kept = parameters.into_iter().flat_map(|all| all.split('&')).filter(|one| !one.starts_with("password="));
+    let kept: Vec<&str> = kept.collect();
+    let mark = if kept.is_empty() { "" } else { "?" };
+    format!("{scheme}://{rest}{mark}{}", kept.join("&"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn workers_get_what_they_share_and_no_password_of_the_database() {
+        let text = "robots = 0\nconsole.mouse = \"yes\"\nconfirmations = 3\ngateway.addresses = \"a:1,b:1\"\n\
+                    store.url = \"postgres://u:hunter2@db1,db2/fleet?password=hunter2&sslmode=require\"\n";
+        let file = Some((std::path::Path::new("config.toml"), text));
+        let config = Config::resolve(&|_| None, &|_| None, file).expect("settings");
+        let shared = config.of_workers();
+        assert_eq!(
+            shared,
+            "store.url = \"postgres://u@db1,db2/fleet?sslmode=require\"\nconfirmations = \"3\"\n\
+             gateway.addresses = \"a:1,b:1\"\n"
+        );
+        let file = Some((std::path::Path::new("config.toml"), shared.as_str()));
+        let again = Config::resolve(&|_| None, &|_| None, file).expect("the same settings");
+        assert_eq!((again.of_workers(), again.confirmations), (shared, 3));
+    }
+
+    #[test]
+    fn a_url_keeps_its_user() {
+        for (url, without) in [
+            ("postgres://u:p@h/x", "postgres://u@h/x"),
+            ("postgresql://u:p%40q@h:5433,i/x?password=p", "postgresql://u@h:5433,i/x"),
+            ("postgres://u:p@q@h/x", "postgres://u@h/x"),
+            ("postgres:///x?host=/run/pg", "postgres:///x?host=/run/pg"),
+            ("postgres://h/x", "postgres://h/x"),
+        ] {
+            assert_eq!(without_password(url), without);
+        }
+    }
+}
