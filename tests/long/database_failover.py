@@ -6,13 +6,13 @@ usage: database_failover.py PROGRAM [--times N] [--robots N] [--seed N] [--only 
 
 PROGRAM is an `authros`. Needs root, PostgreSQL, patroni, etcd, iproute2. Scenes, in this order:
 
-    kills      the primary dies N times, in turn its machine and its postmaster alone; the old primary comes back as a standby
     cut        the primary's line is cut: it acknowledges nothing, a standby is promoted, the old primary follows
     full       the primary's disk is full, until there is room again
     standby    one standby is gone: records are acknowledged all the same
     standbys   both are gone: nothing is acknowledged, also not what a gateway that was killed is sent again; then the primary
                dies, a standby is promoted, and what nobody acknowledged is brought again
     return     the first server is the primary again, on purpose
+    kills      the primary dies N times, in turn its machine and its postmaster alone; the old primary comes back as a standby
 
 What robots noted as acknowledged is compared with the database after each, and at the end with what the owner's and a reader's lists
 have. The last line is JSON. Everything runs in namespaces that end with it.
@@ -38,6 +38,8 @@ HUB, SERVERS = "authros-fo", {f"n{number}": f"10.77.0.{number}" for number in (1
 HUB_ADDRESS, PASSWORD, TOPIC = "10.77.0.254", "hunter2-of-the-store", "/robot1/odom"
 SUBMITTED, VERIFIED = 3, 6
 DISK = 640 << 20
+# The exit code of what is tried again.
+UNREACHABLE = 4
 # Seconds: how soon the gateway must acknowledge after a promotion, and how long anything else may take.
 SOON, PATIENCE = 15, 300
 
@@ -261,7 +263,11 @@ class Home:
         return path.read_text(errors="replace") if path.exists() else ""
 
     def json(self, *words, codes=(0,)):
-        done = subprocess.run([self.program, *words, *self.options], capture_output=True, text=True, env=self.environment, timeout=PATIENCE, check=False)
+        def ended():
+            done = subprocess.run([self.program, *words, *self.options], capture_output=True, text=True, env=self.environment, timeout=PATIENCE, check=False)
+            return done if done.returncode in codes or done.returncode != UNREACHABLE else None
+
+        done = until(f"{self.name}: {' '.join(words)}", ended, pause=2)
         need(done.returncode in codes, f"{self.name}: {' '.join(words)} ends with {done.returncode}: {done.stderr or done.stdout}")
         return json.loads(done.stdout.strip().splitlines()[-1]) if done.stdout.strip() else None
 
@@ -369,17 +375,20 @@ class Scene:
         return len(noted)
 
     def fails_over(self, what, fail):
-        """Seconds from the failure to the promotion, and from there to the first acknowledgement."""
+        """Seconds from the failure to the promotion, and from there to the gateway's first commit and a robot's first receipt."""
         old, begun = self.cluster.whole(), self.robots.note()
         self.robots.grow(begun)
         failed = time.monotonic()
         fail(old)
         new = self.cluster.promoted(old)
         promoted, noted = time.monotonic(), self.robots.note()
-        self.robots.grow(noted)
+        committed = "SELECT count(*) FROM pg_stat_activity WHERE usename = 'authros' AND query = 'COMMIT' AND state = 'idle'"
+        until("the gateway has committed something", lambda: new.sql(committed, "postgres", check=False) not in ("", "0"))
         writable = time.monotonic() - promoted
-        self.figures.append({"what": what, "promoted": promoted - failed, "writable": writable})
-        say(f"{what}: {old.name} -> {new.name}, promoted after {promoted - failed:.1f} s, acknowledges {writable:.1f} s later")
+        self.robots.grow(noted)
+        received = time.monotonic() - promoted
+        self.figures.append({"what": what, "promoted": promoted - failed, "writable": writable, "received": received})
+        say(f"{what}: {old.name} -> {new.name}, promoted after {promoted - failed:.1f} s, commits {writable:.1f} s later, a robot has a receipt after {received:.1f} s")
         need(writable <= SOON, f"writable {SOON} s after the promotion, not {writable:.1f}")
         return old, new
 
@@ -474,7 +483,7 @@ class Scene:
         need(not lost & noted, "what died with the primary was not acknowledged")
         self.robots.grow(noted)
         started.join(PATIENCE)
-        self.figures.append({"what": "both standbys gone, then the primary", "writable": time.monotonic() - promoted})
+        self.figures.append({"what": "both standbys gone, then the primary", "received": time.monotonic() - promoted})
         say(f"  {new.name} promoted without {len(lost)} of them, acknowledges {time.monotonic() - promoted:.1f} s later")
         primary.start()
         self.cluster.whole()
@@ -530,15 +539,16 @@ def scenes(arguments, folder, processes):
     scene.robots = Robots(scene, arguments.robots)
     scene.robots.grow(set())
     say(f"{arguments.robots} robots bring records")
-    acts = {"kills": lambda: scene.kills(arguments.times), "cut": scene.cut, "full": scene.full, "standby": scene.standby, "standbys": scene.standbys, "return": scene.back}
+    acts = {"cut": scene.cut, "full": scene.full, "standby": scene.standby, "standbys": scene.standbys, "return": scene.back, "kills": lambda: scene.kills(arguments.times)}
     for name, act in acts.items():
         if not arguments.only or name in arguments.only:
             act()
     acknowledged, records = scene.finish()
-    writable = [figure["writable"] for figure in scene.figures]
+    writable, received = ([figure[name] for figure in scene.figures if name in figure] for name in ("writable", "received"))
     print(json.dumps({
         "fail_overs": len(writable), "writable_p50": round(statistics.median(writable), 2) if writable else None,
         "writable_max": round(max(writable), 2) if writable else None,
+        "received_p50": round(statistics.median(received), 2) if received else None, "received_max": round(max(received), 2) if received else None,
         "promoted_p50": round(statistics.median([one["promoted"] for one in scene.figures if "promoted" in one] or [0]), 2),
         "acknowledged": acknowledged, "records": records, "lost": 0, "doubled": 0, "each": scene.figures,
     }))

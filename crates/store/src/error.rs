@@ -66,7 +66,7 @@ pub enum StoreError {
     ServerClock { server: PathBuf, apart: String },
     #[error(
         "{} lacks what this home had committed there, so it was restored to an earlier time, or a standby was promoted that \
-         lacked it; start again: then the gateway goes on from what is there", server.display()
+         lacked it; start again: then the gateway continues from what is there", server.display()
     )]
     ServerRestored { server: PathBuf },
     #[error(

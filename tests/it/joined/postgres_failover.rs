@@ -1,18 +1,23 @@
 //! A gateway's database dies under load and a synchronous standby goes on, and a database is restored to an earlier time.
-//! Under Patroni, cut off and with a full disk: tests/long/database_failover.py.
+//! The long run adds Patroni, a line that is cut and a full disk.
+
+use std::process::Command;
 
 use super::swarm::{Load, Swarm};
 use super::*;
+use support::authros::program_under_test;
 use support::member::Member as Keys;
 use support::postgres::Postgres;
-use support::skipped;
+use support::{long, skipped, system_program};
 
 /// How often the primary is killed.
 const KILLS: u32 = 3;
+const SCENES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/long/database_failover.py");
+/// Seconds for all scenes.
+const PATIENCE: u64 = 3_600;
 /// A standby must have each commit before it is acknowledged.
 const ANY_STANDBY: &str = "ALTER SYSTEM SET synchronous_standby_names = 'ANY 1 (walreceiver)'";
-const FOLLOWING: &str =
-    "SELECT count(*) FROM pg_stat_replication WHERE state = 'streaming' AND sync_state = 'quorum'";
+const FOLLOWING: &str = "SELECT count(*) FROM pg_stat_replication WHERE state = 'streaming' AND sync_state = 'quorum'";
 /// Of the gateway's own numbers.
 const RECORDER: &str = "SELECT encode(recorder, 'hex') FROM about";
 /// Bytes of the log that a standby has.
@@ -116,6 +121,23 @@ fn a_database_fails_over_again_and_again_and_each_record_is_held_once() {
     );
     assert_eq!(cluster.sql(RECORDER), own_recorder, "a standby that has what was acknowledged is no restored database");
     gateway.site.as_mut().expect("running").expect_running();
+}
+
+#[test]
+#[allow(clippy::print_stdout, reason = "figures for who reads the run")]
+fn a_database_under_patroni_fails_over_in_each_scene() {
+    if !long() {
+        return; // Takes half an hour: `tests/run --long`.
+    }
+    let _alone = heavy();
+    for program in ["patroni", "etcd", "ip"] {
+        if system_program(program).is_none() {
+            skipped!(format!("no {program}"));
+        }
+    }
+    let mut command = Command::new("/usr/bin/python3");
+    command.arg(SCENES).arg(program_under_test());
+    println!("{}", Running::start(command).wait(PATIENCE).expect_code(0).stdout);
 }
 
 fn feeds(server: &Postgres) -> BTreeSet<String> {

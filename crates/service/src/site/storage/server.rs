@@ -10,8 +10,8 @@ use crate::model::{Address, ProfileName};
 use crate::paths::Home;
 use crate::reply::Result;
 use crate::site::parts::Parts;
-use crate::store::{Ledger, StoreError};
 use crate::store::notes::ProfileAccounts;
+use crate::store::{Ledger, StoreError};
 
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
 

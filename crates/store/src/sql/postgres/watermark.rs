@@ -27,7 +27,12 @@ pub(crate) struct Watermark {
 
 impl Watermark {
     pub fn in_memory() -> std::result::Result<Self, StoreError> {
-        Ok(Self { id: random(Path::new(""))?, commits: AtomicI64::new(0), is_behind: AtomicBool::new(false), file: None })
+        Ok(Self {
+            id: random(Path::new(""))?,
+            commits: AtomicI64::new(0),
+            is_behind: AtomicBool::new(false),
+            file: None,
+        })
     }
 
     /// Creates the file if it is missing.
