@@ -35,7 +35,7 @@ import time
 import urllib.request
 
 HUB, SERVERS = "authros-fo", {f"n{number}": f"10.77.0.{number}" for number in (1, 2, 3)}
-HUB_ADDRESS, PASSWORD, TOPIC = "10.77.0.254", "hunter2-of-the-store", "/robot1/odom"
+HUB_ADDRESS, PASSWORD, TOPIC = "10.77.0.254", "hunter2-of-the-store", "/robot1/camera/compressed"
 SUBMITTED, VERIFIED = 3, 6
 DISK = 640 << 20
 # The exit code of what is tried again.
@@ -389,7 +389,6 @@ class Scene:
         received = time.monotonic() - promoted
         self.figures.append({"what": what, "promoted": promoted - failed, "writable": writable, "received": received})
         say(f"{what}: {old.name} -> {new.name}, promoted after {promoted - failed:.1f} s, commits {writable:.1f} s later, a robot has a receipt after {received:.1f} s")
-        need(writable <= SOON, f"writable {SOON} s after the promotion, not {writable:.1f}")
         return old, new
 
     def kills(self, times):
@@ -552,6 +551,7 @@ def scenes(arguments, folder, processes):
         "promoted_p50": round(statistics.median([one["promoted"] for one in scene.figures if "promoted" in one] or [0]), 2),
         "acknowledged": acknowledged, "records": records, "lost": 0, "doubled": 0, "each": scene.figures,
     }))
+    need(not writable or max(writable) <= SOON, f"writable {SOON} s after each promotion")
 
 
 def main():

@@ -78,16 +78,24 @@ impl Postgres {
 
     /// A killed server returns at its address, as a standby with another's data.
     pub fn return_behind(&mut self, primary: &Self) {
-        std::fs::remove_dir_all(self.data()).expect("removed");
+        self.clear();
         primary.copy_to(self, &["-R"]);
         assert!(self.starts(), "it starts again");
     }
 
     /// A killed server returns at its address with what it had at the time of a backup.
     pub fn restore(&mut self, backup: &Self) {
-        std::fs::remove_dir_all(self.data()).expect("removed");
+        self.clear();
         std::fs::rename(backup.data(), self.data()).expect("on the same disk");
         assert!(self.starts(), "it starts again");
+    }
+
+    /// What ran under a killed postmaster may still write.
+    fn clear(&self) {
+        wait_until(20, "its data is removed", || {
+            drop(std::fs::remove_dir_all(self.data()));
+            (!self.data().exists()).then_some(())
+        });
     }
 
     fn empty() -> Result<Self, &'static str> {
