@@ -221,9 +221,11 @@ class Cluster:
         self.first.sql(f"CREATE ROLE authros LOGIN PASSWORD '{PASSWORD}'", "postgres")
         self.first.sql("CREATE DATABASE fleet OWNER authros", "postgres")
         self.first.sql("GRANT pg_monitor TO authros", "postgres")
-        # Not before: commits would wait for standbys that are not there yet.
-        names = {"synchronous_standby_names": f"ANY 1 ({', '.join(SERVERS)})"}
-        self.first.ask("PATCH", "config", {"postgresql": {"parameters": names}})
+        # Not before: commits would wait for standbys that are not there yet. Not in Patroni's settings: outside of its own
+        # synchronous mode it empties them at each promotion.
+        for server in self.servers:
+            server.sql(f"ALTER SYSTEM SET synchronous_standby_names = 'ANY 1 ({', '.join(SERVERS)})'", "postgres")
+            server.sql("SELECT pg_reload_conf()", "postgres")
         self.whole()
 
     @property

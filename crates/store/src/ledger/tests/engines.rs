@@ -224,6 +224,24 @@ fn a_database_that_was_restored_is_written_only_after_a_new_recorder_and_feed_be
 }
 
 #[test]
+fn a_connection_begins_and_ends_although_no_standby_is_there() {
+    let Some((cluster, ledger)) = own("engines::a_connection_begins_and_ends") else { return };
+    append(&ledger, 1, 1).expect("acknowledged");
+    let url = cluster.schema();
+    drop(Ledger::on_server(&url, None).expect("made"));
+    set(&cluster, "ALTER SYSTEM SET synchronous_standby_names = 'absent'");
+    cluster.admin().expect("connects").script(END).expect("ended");
+    let is_left = "SELECT count(*) FROM pg_stat_activity WHERE usename = 'authros'";
+    let admin = cluster.admin().expect("connects");
+    let ended = (0..500).any(|_| {
+        thread::sleep(std::time::Duration::from_millis(20));
+        admin.number(is_left).expect("read") == Some(0)
+    });
+    assert!(ended, "a server that is to stop waits for them");
+    assert_eq!(next(&Ledger::on_server(&url, None).expect("opened"), 1), 1);
+}
+
+#[test]
 fn a_text_that_the_server_cannot_store_is_refused_alone() {
     let Some(cluster) = common("engines::a_text_that_the_server_cannot_store") else { return };
     let ledger = Ledger::on_server(&cluster.schema(), None).expect("opened");

@@ -32,8 +32,10 @@ const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_sessio
     SET tcp_keepalives_count = 2; SET tcp_user_timeout = 20000";
 
 /// What a transaction has changed so far; `settle` adds it to the counts and empties them. ON COMMIT DELETE ROWS would lock
-/// them, and each such lock is in the server's log.
-const PENDING: &str = "CREATE TEMPORARY TABLE pending_counters (
+/// them, and each such lock is in the server's log. The server makes and drops them in commits of their own. If those waited
+/// for a standby, a primary without one could never shut down.
+const PENDING: &str = "SET synchronous_commit = local;
+    CREATE TEMPORARY TABLE pending_counters (
         stream BIGINT NOT NULL, state BIGINT NOT NULL, records BIGINT NOT NULL, bytes BIGINT NOT NULL,
         taken_in BIGINT NOT NULL, PRIMARY KEY (stream, state)
     );
