@@ -23,7 +23,6 @@ import json
 import os
 import pathlib
 import random
-import shutil
 import signal
 import sqlite3
 import statistics
@@ -224,6 +223,7 @@ class Cluster:
         # Not before: commits would wait for standbys that are not there yet. Not in Patroni's settings: outside of its own
         # synchronous mode it empties them at each promotion.
         for server in self.servers:
+            until(f"{server.name} answers", lambda server=server: server.sql("SELECT 1", "postgres", check=False) == "1")
             server.sql(f"ALTER SYSTEM SET synchronous_standby_names = 'ANY 1 ({', '.join(SERVERS)})'", "postgres")
             server.sql("SELECT pg_reload_conf()", "postgres")
         self.whole()
@@ -416,8 +416,7 @@ class Scene:
         filling = lambda server: server.disk / "filling"
 
         def fill(server):
-            free = shutil.disk_usage(server.disk).free
-            run("fallocate", "-l", free, filling(server))
+            run("dd", "if=/dev/zero", f"of={filling(server)}", "bs=1M", check=False)
 
         old, noted = self.cluster.whole(), self.robots.note()
         self.robots.grow(noted)
