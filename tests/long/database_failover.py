@@ -149,7 +149,7 @@ class Server:
             "wal_keep_size": "48MB", "wal_log_hints": "on", "log_line_prefix": "%m [%p] ", "wal_sender_timeout": "5s",
         }
         dcs = {
-            "ttl": 20, "loop_wait": 2, "retry_timeout": 8, "primary_start_timeout": 0, "maximum_lag_on_failover": 0,
+            "ttl": 20, "loop_wait": 2, "retry_timeout": 8, "primary_start_timeout": 0, "maximum_lag_on_failover": 1 << 20,
             "postgresql": {"use_pg_rewind": True, "use_slots": False, "parameters": parameters},
         }
         own = f"{self.address}:5432"

@@ -17,7 +17,8 @@ use crate::StoreError;
 use crate::model::{Timestamp, clean, coarse};
 use crate::sql::{Error, Kind, Refusal, Result};
 
-const PATIENCE: Duration = Duration::from_secs(5);
+/// With each host: one that is cut off does not answer, and the primary may be the next.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// A silent peer is asked, and given up some seconds later.
 const SILENCE: Duration = Duration::from_secs(10);
 const USUAL_PORT: u16 = 5432;
