@@ -360,10 +360,18 @@ class Scene:
         self.alice.json("grant", "add", "--to", "bob")
 
     def serve(self):
-        log = f"keeper{len(self.processes.all)}"
-        self.gateway = self.keeper.start("gateway", "serve", "--listen", self.address, log=log)
-        line = until("the gateway serves", lambda: next((line for line in self.keeper.log(log).splitlines() if '"gateway"' in line), None))
-        self.key = json.loads(line)["gateway"]["gateway"]
+        """Until it serves; one that ends starts again after five seconds, as systemd does it."""
+        log = ""
+
+        def serves():
+            nonlocal log
+            if not log or self.gateway.poll() is not None:
+                time.sleep(5 if log else 0)
+                log = f"keeper{len(self.processes.all)}"
+                self.gateway = self.keeper.start("gateway", "serve", "--listen", self.address, log=log)
+            return next((line for line in self.keeper.log(log).splitlines() if '"gateway":' in line), None)
+
+        self.key = json.loads(until("the gateway serves", serves))["gateway"]["gateway"]
 
     def compare(self):
         """Each record that a robot noted as acknowledged is in the database once."""
@@ -481,8 +489,8 @@ class Scene:
         lost = alone - kept
         promoted, noted = time.monotonic(), self.robots.note()
         need(not lost & noted, "what died with the primary was not acknowledged")
-        self.robots.grow(noted)
         started.join(PATIENCE)
+        self.robots.grow(noted)
         self.figures.append({"what": "both standbys gone, then the primary", "received": time.monotonic() - promoted})
         say(f"  {new.name} promoted without {len(lost)} of them, acknowledges {time.monotonic() - promoted:.1f} s later")
         primary.start()
