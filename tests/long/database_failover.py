@@ -36,7 +36,7 @@ import urllib.request
 HUB, SERVERS = "authros-fo", {f"n{number}": f"10.77.0.{number}" for number in (1, 2, 3)}
 HUB_ADDRESS, PASSWORD, TOPIC = "10.77.0.254", "hunter2-of-the-store", "/robot1/camera/compressed"
 SUBMITTED, VERIFIED = 3, 6
-DISK = 640 << 20
+DISK = 1 << 30
 # The exit code of what is tried again.
 UNREACHABLE = 4
 # Seconds: how soon the gateway must acknowledge after a promotion, and how long anything else may take.
@@ -146,7 +146,7 @@ class Server:
         login = lambda user: {"username": user, "password": PASSWORD}
         parameters = {
             "max_connections": 60, "shared_buffers": "32MB", "min_wal_size": "32MB", "max_wal_size": "64MB",
-            "wal_keep_size": "48MB", "wal_log_hints": "on", "log_line_prefix": "%m [%p] ", "wal_sender_timeout": "5s",
+            "wal_keep_size": "256MB", "wal_log_hints": "on", "log_line_prefix": "%m [%p] ", "wal_sender_timeout": "5s",
         }
         dcs = {
             "ttl": 20, "loop_wait": 2, "retry_timeout": 8, "primary_start_timeout": 0, "maximum_lag_on_failover": 1 << 20,
