@@ -21,7 +21,7 @@ use tokio::{sync::broadcast, task::JoinHandle};
 use super::connect::{Connection, Context, ProfileNeed};
 use super::passphrase;
 use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
-use crate::service::{Client, Event, Failure, Needs, event::NoticeLevel, failure::internal, is_bound};
+use crate::service::{Client, Event, Failure, Needs, Site, event::NoticeLevel, failure::internal, is_bound};
 use crate::{model::ErrorKind, store::files, term::signals::Handled};
 
 /// `serve …`
@@ -190,10 +190,19 @@ pub async fn until_signal<T>(
     let ended = tokio::select! {
         () = follow(&mut events, NoticeLevel::Warning, output, end) => Ok(0),
         failure = lost(&connection.client), if joined => Err(failure),
+        failure = outdated(connection.site.as_deref()) => Err(failure),
     };
     drop(ready);
     connection.end().await;
     ended
+}
+
+/// The database of a site may be restored at any time.
+async fn outdated(site: Option<&Site>) -> Failure {
+    match site {
+        Some(site) => site.outdated().await,
+        None => std::future::pending().await,
+    }
 }
 
 /// A joined site may end at any time.

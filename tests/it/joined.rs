@@ -14,6 +14,7 @@ mod holding;
 mod killing;
 mod lost_machine;
 mod postgres;
+mod postgres_failover;
 mod postgres_join;
 mod sessions;
 mod swarm;

@@ -41,10 +41,61 @@ impl Postgres {
     /// Another server that follows this one.
     pub fn standby(&self) -> Self {
         let made = Self::empty().expect("as this one");
-        let mut command = made.program("pg_basebackup");
-        command.args(["-U", "postgres", "-R", "-X", "stream", "-c", "fast", "-p", &self.port.to_string()]);
-        made.run(command.arg("-h").arg(self.folder.path()).arg("-D").arg(made.data()));
+        self.copy_to(&made, &["-R"]);
         made.serve()
+    }
+
+    /// What this server has now, for [`Self::restore`].
+    pub fn backup(&self) -> Self {
+        let made = Self::empty().expect("as this one");
+        self.copy_to(&made, &[]);
+        made
+    }
+
+    fn copy_to(&self, other: &Self, options: &[&str]) {
+        let mut command = other.program("pg_basebackup");
+        command.args(["-U", "postgres", "-X", "stream", "-c", "fast", "-p", &self.port.to_string()]).args(options);
+        other.run(command.arg("-h").arg(self.folder.path()).arg("-D").arg(other.data()));
+    }
+
+    /// Its postmaster is killed, and what runs under it ends.
+    pub fn kill(&mut self) {
+        self.server.take().expect("running").stop("KILL", 20);
+    }
+
+    /// Returns when it takes writes.
+    pub fn promote(&self) {
+        assert_eq!(self.sql("postgres", "SELECT pg_promote(wait_seconds => 60)"), "t", "it takes writes");
+    }
+
+    /// Goes on behind another primary.
+    pub fn follow(&self, primary: &Self) {
+        let (folder, port) = (primary.folder.path().display(), primary.port);
+        let place = format!("user=postgres host={folder} port={port}");
+        self.sql("postgres", &format!("ALTER SYSTEM SET primary_conninfo = '{place}'"));
+        self.sql("postgres", "SELECT pg_reload_conf()");
+    }
+
+    /// A killed server returns at its address, as a standby with another's data.
+    pub fn return_behind(&mut self, primary: &Self) {
+        self.clear();
+        primary.copy_to(self, &["-R"]);
+        assert!(self.starts(), "it starts again");
+    }
+
+    /// A killed server returns at its address with what it had at the time of a backup.
+    pub fn restore(&mut self, backup: &Self) {
+        self.clear();
+        std::fs::rename(backup.data(), self.data()).expect("on the same disk");
+        assert!(self.starts(), "it starts again");
+    }
+
+    /// What ran under a killed postmaster may still write.
+    fn clear(&self) {
+        wait_until(20, "its data is removed", || {
+            drop(std::fs::remove_dir_all(self.data()));
+            (!self.data().exists()).then_some(())
+        });
     }
 
     fn empty() -> Result<Self, &'static str> {
@@ -61,27 +112,26 @@ impl Postgres {
         // Another process may take a free port first: then others are tried.
         for _ in 0..5 {
             self.port = free_port();
-            let mut command = self.program("postgres");
-            command.arg("-D").arg(self.data()).arg("-k").arg(self.folder.path());
-            command.args([
-                "-p",
-                &self.port.to_string(),
-                "-c",
-                "listen_addresses=127.0.0.1",
-                "-c",
-                "shared_buffers=32MB",
-            ]);
-            let mut server = Running::start(command);
-            let ready = wait_until(60, "PostgreSQL is up or has ended", || {
-                let ready = self.asked("postgres", "SELECT 1").is_ok();
-                (ready || !server.is_running()).then_some(ready)
-            });
-            self.server = ready.then_some(server);
-            if ready {
+            if self.starts() {
                 return self;
             }
         }
         panic!("PostgreSQL finds no port to listen on");
+    }
+
+    /// Whether it did, at its port.
+    fn starts(&mut self) -> bool {
+        let port = self.port.to_string();
+        let mut command = self.program("postgres");
+        command.arg("-D").arg(self.data()).arg("-k").arg(self.folder.path());
+        command.args(["-p", &port, "-c", "listen_addresses=127.0.0.1", "-c", "shared_buffers=32MB"]);
+        let mut server = Running::start(command);
+        let ready = wait_until(60, "PostgreSQL is up or has ended", || {
+            let ready = self.asked("postgres", "SELECT 1").is_ok();
+            (ready || !server.is_running()).then_some(ready)
+        });
+        self.server = ready.then_some(server);
+        ready
     }
 
     /// The URL of a new database of the ordinary user.
@@ -100,7 +150,13 @@ impl Postgres {
 
     /// As the ordinary user.
     pub fn url(&self, database: &str) -> String {
-        format!("postgres://authros:{PASSWORD}@127.0.0.1:{}/{database}", self.port)
+        Self::url_of([self], database)
+    }
+
+    /// Of whichever of these takes writes.
+    pub fn url_of<'a>(servers: impl IntoIterator<Item = &'a Self>, database: &str) -> String {
+        let hosts: Vec<String> = servers.into_iter().map(|server| format!("127.0.0.1:{}", server.port)).collect();
+        format!("postgres://authros:{PASSWORD}@{}/{database}", hosts.join(","))
     }
 
     /// What a statement of the superuser answers, without headings.

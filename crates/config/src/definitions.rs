@@ -65,6 +65,9 @@ pub const DEFINITIONS: &[Definition] = definitions! {
          hosts; without a password there, PGPASSWORD or the file PGPASSFILE has it; empty = a file in the home";
     "store.roots", "AUTHROS_STORE_ROOTS", "":
         "PEM file with the certificate authorities to accept for that database; empty = those of this machine";
+    "store.standbys", "AUTHROS_STORE_STANDBYS", "0":
+        "how many standbys must have what is acknowledged; status and doctor report a failure if that database waits for \
+         fewer";
     "cache.url", "AUTHROS_CACHE", "":
         "Redis as a cache in front of the store: redis://host:port, redis+unix:///path, \
          redis+cluster://host:port,host:port or redis+sentinel://host:port,host:port/master, with rediss for TLS; empty \

@@ -99,6 +99,8 @@ pub struct Config {
     /// The PostgreSQL database of a gateway's home; may hold a password.
     pub store_url: Option<String>,
     pub store_roots: Option<PathBuf>,
+    /// That the database must wait for.
+    pub store_standbys: u64,
     /// Redis as a cache in front of the store.
     pub cache_url: Option<String>,
     pub cache_roots: Option<PathBuf>,
@@ -221,6 +223,7 @@ impl Config {
             capture_memory: bytes(&values, "capture.memory", 1 << 20)?,
             store_url: store(&values)?,
             store_roots: certificates(&values, "store.roots")?,
+            store_standbys: number(&values, "store.standbys", 0, 16)?,
             cache_url: url(&values, "cache.url", CACHES)?,
             cache_roots: certificates(&values, "cache.roots")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,

@@ -190,6 +190,8 @@ paths! {
     alerts: "alerts.queue";
     /// The ring of a robot: sealed records of topics that nobody watches.
     ring: "ring";
+    /// How far this home has seen its database.
+    watermark: "watermark";
     gateway: "gateway";
     chain: "chain";
     gateway_trust: "gateway-trust.json";

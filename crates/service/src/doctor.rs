@@ -413,7 +413,7 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
             return None;
         }
     };
-    let (level, text) = worth(&durability);
+    let (level, text) = worth(&durability, config.store_standbys);
     match level {
         HealthLevel::Failed => sheet.fail_in_words("store", &text, OTHER_DATABASE),
         HealthLevel::Ok | HealthLevel::Absent | HealthLevel::Waiting => sheet.ok("store", &text),

@@ -4,8 +4,8 @@ use crate::model::{clean, counted};
 use crate::reply::HealthLevel;
 use crate::store::Durability;
 
-/// `Failed` where what is acknowledged may be lost, or nothing can be.
-pub fn worth(found: &Durability) -> (HealthLevel, String) {
+/// `Failed` where what is acknowledged may be lost, or nothing can be. `least`: standbys that must have it.
+pub fn worth(found: &Durability, least: u64) -> (HealthLevel, String) {
     let Durability { version, standbys, fsync, is_standby, connected, .. } = found;
     let server = format!("PostgreSQL {}", clean(version, 40));
     let names = clean(standbys, 120);
@@ -19,6 +19,13 @@ pub fn worth(found: &Durability) -> (HealthLevel, String) {
     if !fsync {
         return failed(format!(
             "{server} has fsync off: what it acknowledges is lost if its machine fails; set fsync = on"
+        ));
+    }
+    if needed < least {
+        return failed(format!(
+            "{server} waits for {} where store.standbys asks for {least}: what it acknowledges is lost with its disk; set \
+             synchronous_standby_names",
+            counted(needed, "standby")
         ));
     }
     if needed == 0 {
@@ -103,7 +110,7 @@ mod tests {
 
     #[test]
     fn an_acknowledgement_is_worth_what_the_server_waits_for() {
-        let told = |found: &Durability| worth(found);
+        let told = |found: &Durability| worth(found, 0);
         let (level, text) = told(&found("", Some(0)));
         assert!(level == HealthLevel::Ok && text.contains("on no standby's"), "{text}");
         let (level, text) = told(&found("ANY 2 (a, b, c)", Some(3)));
@@ -125,6 +132,15 @@ mod tests {
         ] {
             let (level, text) = told(&bad);
             assert!(level == HealthLevel::Failed && text.contains(words) && text.contains("15.6"), "{text}");
+        }
+        for (standbys, least, level) in [
+            ("", 1, HealthLevel::Failed),
+            ("ANY 1 (a, b)", 1, HealthLevel::Ok),
+            ("ANY 1 (a, b)", 2, HealthLevel::Failed),
+            ("ANY 2 (a, b)", 1, HealthLevel::Ok),
+        ] {
+            let (found, text) = worth(&found(standbys, Some(2)), least);
+            assert!(found == level && text.contains("store.standbys") == (level == HealthLevel::Failed), "{text}");
         }
     }
 }

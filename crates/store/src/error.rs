@@ -67,6 +67,11 @@ pub enum StoreError {
     )]
     ServerClock { server: PathBuf, apart: String },
     #[error(
+        "{} lacks what this home had committed there, so it was restored to an earlier time, or a standby was promoted that \
+         lacked it; start again: then the gateway continues from what is there", server.display()
+    )]
+    ServerRestored { server: PathBuf },
+    #[error(
         "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
     )]
     Unknown { server: PathBuf, detail: String },
@@ -132,6 +137,7 @@ impl StoreError {
             | Self::Open { .. }
             | Self::ServerRefused { .. }
             | Self::ServerReadOnly { .. }
+            | Self::ServerRestored { .. }
             | Self::ServerClock { .. } => ErrorKind::Refused,
             Self::Database { .. }
             | Self::Closed

@@ -154,6 +154,31 @@ impl Ledger {
         Self::open_at(Place::Server(Box::new(Server::at(url, roots)?)))
     }
 
+    /// The same for a home, where `watermark` remembers how far it has seen the database: [`StoreError::ServerRestored`] if the
+    /// database is behind that.
+    pub fn on_server_of(url: &str, roots: Option<&Path>, watermark: &Path) -> Result<Self, StoreError> {
+        Self::open_at(Place::Server(Box::new(Server::at(url, roots)?.remembered_in(watermark)?)))
+    }
+
+    /// Goes on with a database that was restored to an earlier time, as with a restored file: with a new recorder and another
+    /// feed, because the numbers since are given.
+    pub fn renew_on_server(url: &str, roots: Option<&Path>, watermark: &Path) -> Result<(), StoreError> {
+        let server = Server::at(url, roots)?.remembered_in(watermark)?;
+        let renewed = || {
+            let connection = Connection::from(server.renewing()?);
+            number_anew(&connection, server.place())?;
+            Ok(connection.commit()?)
+        };
+        renewed().map_err(|error: StoreError| error.in_file(server.place()))
+    }
+
+    /// The database was restored to an earlier time since this was opened. Nothing is written to it: this process knows what
+    /// is not there any more.
+    pub fn restored_meanwhile(&self) -> Option<StoreError> {
+        let place = &self.database.shared.place;
+        place.is_restored().then(|| StoreError::ServerRestored { server: place.path().to_owned() })
+    }
+
     fn open_at(place: Place) -> Result<Self, StoreError> {
         let place = Arc::new(place);
         let opened = place.writer().and_then(|connection| Ok((begin(&connection, place.path())?, connection)));
@@ -334,6 +359,13 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     connection.begin()?;
+    number_anew(connection, path)?;
+    connection.commit()?;
+    Ok(connection.script("PRAGMA wal_checkpoint(TRUNCATE)")?)
+}
+
+/// Inside a transaction.
+fn number_anew(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     connection.run("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
     connection.run("DELETE FROM feeds", [])?;
     feed::begin(connection, 0)?;
@@ -347,9 +379,7 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     notes::write_in(connection, &RestoredAt {}, &Timestamp::now())?;
     // Its location is new, and its accounts' anchors since are history.
     notes::forget_in(connection, &LastPlace {})?;
-    notes::forget_in(connection, &ForeignHistory {})?;
-    connection.commit()?;
-    Ok(connection.script("PRAGMA wal_checkpoint(TRUNCATE)")?)
+    notes::forget_in(connection, &ForeignHistory {})
 }
 
 fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {

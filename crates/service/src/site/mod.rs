@@ -95,7 +95,7 @@ use storage::Storage;
 use super::client::{Call, Client};
 use super::event::Event;
 use super::failure::internal;
-use super::reply::Result;
+use super::reply::{Failure, Result};
 use crate::config::Config;
 use crate::crypto::unfinished;
 use crate::model::ProfileName;
@@ -106,6 +106,8 @@ use crate::pipeline::ring::Rings;
 use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
 use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
 
+/// Between looks at what the store says of its database.
+const LOOK: Duration = Duration::from_secs(2);
 /// Longest wait for the nodes to leave the ROS graph.
 const LEAVING: Duration = Duration::from_secs(2);
 /// Longest wait for the embedded chain to close its file.
@@ -390,6 +392,16 @@ impl Site {
 
     pub async fn stopped(&self) {
         self.parts.life.stopped().await;
+    }
+
+    /// Returns when its database was restored to an earlier time: this process knows what is not there any more.
+    pub async fn outdated(&self) -> Failure {
+        loop {
+            if let Some(error) = self.plant.ledger.restored_meanwhile() {
+                return error.into();
+            }
+            tokio::time::sleep(LOOK).await;
+        }
     }
 
     pub async fn chain(&self) -> Result<crate::chain::Chain> {

@@ -39,7 +39,7 @@ pub(super) struct Parts {
 pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
-    /// Opens the store of a home; the last value says whether the home is a copy of another.
+    /// Opens the store of a home; the last value says whether the home is a copy of another, or its database was restored.
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool)> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
@@ -47,7 +47,7 @@ impl Parts {
         Ledger::check_version(&home.ledger())?;
         check_embedded_chain(&home.chain())?;
         let (ledger, copied) = match &config.store_url {
-            Some(url) => (open_on_server(&home, url, config.store_roots.as_deref())?, false),
+            Some(url) => open_on_server(&home, url, config.store_roots.as_deref())?,
             None => open_ledger(&home)?,
         };
         let ciphertext = match &config.cache_url {

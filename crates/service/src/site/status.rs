@@ -124,7 +124,7 @@ impl Site {
             Some(text) => PartHealth::new("store", HealthLevel::Failed, &text),
             None => match self.plant.ledger.inspection.durability()? {
                 Some(found) => {
-                    let (level, text) = durability::worth(&found);
+                    let (level, text) = durability::worth(&found, self.parts.config.store_standbys);
                     PartHealth::new("store", level, &text)
                 }
                 None => PartHealth::new("store", HealthLevel::Ok, "rows and ciphertext in one file"),

@@ -39,6 +39,14 @@ impl Place {
         }
     }
 
+    /// A server's database lacks what this home has seen.
+    pub fn is_restored(&self) -> bool {
+        match self {
+            Self::File(_) => false,
+            Self::Server(server) => server.is_behind(),
+        }
+    }
+
     /// Makes what is missing there.
     pub fn writer(&self) -> Result<Connection, StoreError> {
         match self {

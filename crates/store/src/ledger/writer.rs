@@ -239,7 +239,12 @@ impl Door {
             if self.connection.trouble() != Some(Kind::Conflict) {
                 match self.place.writer() {
                     Ok(fresh) => self.connection = fresh,
-                    Err(error) => reason = error,
+                    Err(error) => {
+                        reason = error;
+                        if self.place.is_restored() {
+                            break;
+                        }
+                    }
                 }
             }
         }

@@ -21,11 +21,13 @@ use crate::model::clean;
 mod password;
 mod server;
 mod values;
+mod watermark;
 
 use self::server::Driver;
 pub(crate) use self::server::{Server, apart, milliseconds};
 pub(super) use self::values::cell;
 use self::values::{Bound, has_nul};
+pub(crate) use self::watermark::Watermark;
 
 /// Prepared statements that a connection keeps.
 const STATEMENTS_KEPT: usize = 256;
@@ -35,8 +37,8 @@ const AHEAD: usize = 128;
 /// A transaction's changes wait for the standbys that the server names, whatever the server's or the user's own setting.
 const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL synchronous_commit = on";
 const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-/// Writes the transaction's counts, and something in any case: a transaction without a change waits for no standby.
-const SETTLE: &str = "SELECT settle()";
+/// Writes the transaction's counts and numbers it among the home's: a transaction without a change waits for no standby.
+const SETTLE: &str = "SELECT settle(?1)";
 
 pub(crate) struct Client {
     line: tokio_postgres::Client,
@@ -48,6 +50,7 @@ pub(crate) struct Client {
     changes: Cell<u64>,
     /// That the server sent so far.
     warnings: Arc<AtomicU64>,
+    watermark: Arc<Watermark>,
     _driver: Arc<Driver>,
 }
 
@@ -58,7 +61,12 @@ impl fmt::Debug for Client {
 }
 
 impl Client {
-    fn new(client: tokio_postgres::Client, warnings: Arc<AtomicU64>, driver: Arc<Driver>) -> Self {
+    fn new(
+        client: tokio_postgres::Client,
+        warnings: Arc<AtomicU64>,
+        watermark: Arc<Watermark>,
+        driver: Arc<Driver>,
+    ) -> Self {
         Self {
             line: client,
             statements: RefCell::default(),
@@ -67,6 +75,7 @@ impl Client {
             trouble: Cell::new(None),
             changes: Cell::new(0),
             warnings,
+            watermark,
             _driver: driver,
         }
     }
@@ -157,8 +166,12 @@ impl Client {
 
     /// The first of an answer.
     pub fn number(&self, sql: &str) -> Result<Option<i64>> {
+        self.first(sql, &[])
+    }
+
+    fn first(&self, sql: &str, values: &impl Params) -> Result<Option<i64>> {
         let mut found = None;
-        self.each_while(&self.prepared(sql)?, &[], |row| {
+        self.each_while(&self.prepared(sql)?, values, |row| {
             found = Some(row.try_get::<_, i64>(0).or_else(|_| row.try_get::<_, i32>(0).map(i64::from)));
             Ok::<_, Error>(false)
         })?;
@@ -212,14 +225,18 @@ impl Client {
         if self.is_failed.get() {
             return Err(Error::new(Kind::Other, "a statement of this transaction failed"));
         }
-        let settle = self.prepared(SETTLE)?;
-        self.each_while(&settle, &[], |_| Ok::<_, Error>(true))?;
+        let number = self.first(SETTLE, &[self.watermark.id()])?;
         let before = self.warnings.load(Ordering::Acquire);
         let answer = wait(self.line.batch_execute("COMMIT"));
         self.is_in_transaction.set(false);
         let unknown = |detail: String| Err(Error::new(Kind::Unknown, detail));
         match answer {
-            Ok(()) if self.warnings.load(Ordering::Acquire) == before => Ok(()),
+            Ok(()) if self.warnings.load(Ordering::Acquire) == before => {
+                if let Some(number) = number {
+                    self.watermark.rise(number);
+                }
+                Ok(())
+            }
             Ok(()) => unknown("the server stopped waiting for its standby".to_owned()),
             // Its refusal of the whole transaction, which other transactions caused.
             Err(error) if error.code().is_some_and(|code| kind_of_state(code) == Kind::Conflict) => {

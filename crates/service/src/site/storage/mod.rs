@@ -123,10 +123,21 @@ impl Storage {
     }
 
     pub async fn tell_of_copy(self: Arc<Self>) {
-        let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
-                    under a new recorder; do not run it at the same time as the original";
+        let (what, text) = match self.parts.is_on_server() {
+            true => (
+                "restored database",
+                "the database was restored to an earlier time: it lacks what this home had committed there. Own records are \
+                 numbered under a new recorder, readers read the feed from its beginning, and robots send again what they \
+                 still have",
+            ),
+            false => (
+                "copied home",
+                "this home is a copy: its ledger is not the file it was when last used. New records are numbered under a \
+                 new recorder; do not run it at the same time as the original",
+            ),
+        };
         if let Ok(profile) = "site".parse::<ProfileName>() {
-            let written = self.parts.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
+            let written = self.parts.log.write(&profile, what, "a new recorder begins", "noticed").await;
             if let Err(failure) = written {
                 self.parts.hub.alarm(&failure.message);
             }

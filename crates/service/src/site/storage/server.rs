@@ -10,12 +10,13 @@ use crate::model::{Address, ProfileName};
 use crate::paths::Home;
 use crate::reply::Result;
 use crate::site::parts::Parts;
-use crate::store::Ledger;
 use crate::store::notes::ProfileAccounts;
+use crate::store::{Ledger, StoreError};
 
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
 
-pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Path>) -> Result<Ledger> {
+/// The second value: the database was restored to an earlier time than this home has seen.
+pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Path>) -> Result<(Ledger, bool)> {
     if home.ledger().exists() {
         return Err(refused(format!(
             "{} has records in a file already, and a gateway on a server begins in a new home: give another --home, or \
@@ -23,11 +24,25 @@ pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Pat
             home.root().display()
         )));
     }
-    let ledger = Ledger::on_server(url, roots)?;
-    match other_gateway(&known(&ledger)?, ledger.path(), home) {
+    let watermark = home.watermark();
+    let (ledger, restored) = match Ledger::on_server_of(url, roots, &watermark) {
+        Err(StoreError::ServerRestored { .. }) => {
+            // Another gateway's never had what this home has seen.
+            check_gateway(&Ledger::on_server(url, roots)?, home)?;
+            Ledger::renew_on_server(url, roots, &watermark)?;
+            (Ledger::on_server_of(url, roots, &watermark)?, true)
+        }
+        opened => (opened?, false),
+    };
+    check_gateway(&ledger, home)?;
+    Ok((ledger, restored))
+}
+
+fn check_gateway(ledger: &Ledger, home: &Home) -> Result<()> {
+    match other_gateway(&known(ledger)?, ledger.path(), home) {
         // Without a profile, a saved keyring may still be restored.
         Some(text) if !own(home).is_empty() => Err(refused(text)),
-        _ => Ok(ledger),
+        _ => Ok(()),
     }
 }
 

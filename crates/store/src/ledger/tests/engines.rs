@@ -176,6 +176,71 @@ fn what_no_standby_has_is_not_acknowledged() {
     assert_eq!(append(&ledger, 1, 2), Ok(()), "sent again");
 }
 
+/// As a database that was restored to an earlier time.
+fn set_back(url: &str) {
+    let server = Server::at(url, None).expect("an address").connect().expect("connects");
+    server.script("UPDATE homes SET commits = commits - 1").expect("set back");
+}
+
+fn feed_of(ledger: &Ledger) -> [u8; 16] {
+    ledger.feed.page(&[0; 16], &FeedFilter::default(), 0).expect("a page").id
+}
+
+#[test]
+fn a_database_that_was_restored_is_written_only_after_a_new_recorder_and_feed_begin() {
+    let Some((cluster, _)) = own("engines::a_database_that_was_restored") else { return };
+    let (url, home) = (cluster.schema(), tempfile::tempdir().expect("a folder"));
+    let watermark = home.path().join("watermark");
+    let open = || Ledger::on_server_of(&url, None, &watermark);
+    let ledger = open().expect("made");
+    append(&ledger, 1, 1).expect("acknowledged");
+    let (recorder, feed) = (ledger.records.recorder(), feed_of(&ledger));
+    drop(ledger);
+    let ledger = open().expect("all that was seen is there");
+    cluster.admin().expect("connects").script(END).expect("ended");
+    assert_eq!((append(&ledger, 1, 2), ledger.restored_meanwhile()), (Ok(()), None));
+
+    set_back(&url);
+    cluster.admin().expect("connects").script(END).expect("ended");
+    for _ in 0..2 {
+        let refused = append(&ledger, 1, 3).expect_err("this process knows what is not there");
+        assert!(matches!(refused, StoreError::ServerRestored { .. }), "{refused}");
+        assert_eq!(ledger.restored_meanwhile(), Some(refused));
+    }
+    drop(ledger);
+    let refused = open().expect_err("it is not accepted yet");
+    assert!(matches!(refused, StoreError::ServerRestored { .. }), "{refused}");
+    let other = Ledger::on_server_of(&url, None, &home.path().join("other")).expect("a home that has seen nothing");
+    assert_eq!((next(&other, 1), other.records.recorder()), (3, recorder), "nothing was changed");
+    drop(other);
+
+    Ledger::renew_on_server(&url, None, &watermark).expect("accepted");
+    let ledger = open().expect("nothing is behind");
+    assert_ne!(ledger.records.recorder(), recorder);
+    assert_ne!(feed_of(&ledger), feed);
+    assert_eq!(append(&ledger, 1, 3), Ok(()));
+    drop(ledger);
+    assert_eq!(next(&open().expect("nothing is behind"), 1), 4);
+}
+
+#[test]
+fn a_connection_begins_and_ends_although_no_standby_is_there() {
+    let Some((cluster, ledger)) = own("engines::a_connection_begins_and_ends") else { return };
+    append(&ledger, 1, 1).expect("acknowledged");
+    let url = cluster.schema();
+    drop(Ledger::on_server(&url, None).expect("made"));
+    set(&cluster, "ALTER SYSTEM SET synchronous_standby_names = 'absent'");
+    cluster.admin().expect("connects").script(END).expect("ended");
+    let is_left = "SELECT count(*) FROM pg_stat_activity WHERE usename = 'authros'";
+    let admin = cluster.admin().expect("connects");
+    let ended = (0..500).any(|_| {
+        thread::sleep(std::time::Duration::from_millis(20));
+        admin.number(is_left).expect("read") == Some(0)
+    });
+    assert!(ended, "a server that is to stop waits for them");
+    assert_eq!(next(&Ledger::on_server(&url, None).expect("opened"), 1), 1);
+}
+
 #[test]
 fn a_text_that_the_server_cannot_store_is_refused_alone() {
     let Some(cluster) = common("engines::a_text_that_the_server_cannot_store") else { return };

@@ -12,12 +12,13 @@ use tokio_postgres::tls::{MakeTlsConnect, NoTls, TlsConnect};
 use tokio_postgres::{Config, Socket};
 use tokio_postgres_rustls::MakeRustlsConnect;
 
-use super::{Client, detail_of, drive, kind_of_state, password, wait};
+use super::{Client, Watermark, detail_of, drive, kind_of_state, password, wait};
 use crate::StoreError;
 use crate::model::{Timestamp, clean, coarse};
 use crate::sql::{Error, Kind, Refusal, Result};
 
-const PATIENCE: Duration = Duration::from_secs(5);
+/// With each host: one that is cut off does not answer, and the primary may be the next.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// A silent peer is asked, and given up some seconds later.
 const SILENCE: Duration = Duration::from_secs(10);
 pub(super) const USUAL_PORT: u16 = 5432;
@@ -26,13 +27,17 @@ const SCHEMES: [&str; 2] = ["postgres://", "postgresql://"];
 const NO_WRITES: &str = "database does not allow writes";
 const NO_PASSWORD: &str = "password missing";
 
-/// What a user's or the database's own settings must not change: nothing ends a commit that waits for a standby.
+/// What a user's or the database's own settings must not change: nothing ends a commit that waits for a standby. The server
+/// ends what a machine that is cut off has begun, which would keep its locks for hours.
 const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_session_timeout = 0; SET lock_timeout = 0;
-    SET client_min_messages = warning";
+    SET client_min_messages = warning; SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5;
+    SET tcp_keepalives_count = 2; SET tcp_user_timeout = 20000";
 
 /// What a transaction has changed so far; `settle` adds it to the counts and empties them. ON COMMIT DELETE ROWS would lock
-/// them, and each such lock is in the server's log.
-const PENDING: &str = "CREATE TEMPORARY TABLE pending_counters (
+/// them, and each such lock is in the server's log. The server makes and drops them in commits of their own. If those waited
+/// for a standby, a primary without one could never shut down.
+const PENDING: &str = "SET synchronous_commit = local;
+    CREATE TEMPORARY TABLE pending_counters (
         stream BIGINT NOT NULL, state BIGINT NOT NULL, records BIGINT NOT NULL, bytes BIGINT NOT NULL,
         taken_in BIGINT NOT NULL, PRIMARY KEY (stream, state)
     );
@@ -72,6 +77,7 @@ pub(crate) struct Server {
     config: Config,
     tls: Option<MakeRustlsConnect>,
     place: PathBuf,
+    watermark: Arc<Watermark>,
 }
 
 impl fmt::Debug for Server {
@@ -116,7 +122,13 @@ impl Server {
         let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("postgres").enable_all().build();
         let runtime = runtime.map_err(|error| StoreError::home(&place, &error))?;
         let driver = Arc::new(Driver(Some(runtime)));
-        Ok(Self { driver, config, tls: tls.map(MakeRustlsConnect::new), place })
+        let watermark = Arc::new(Watermark::in_memory()?);
+        Ok(Self { driver, config, tls: tls.map(MakeRustlsConnect::new), place, watermark })
+    }
+
+    /// Compared with what this file remembers of it.
+    pub fn remembered_in(self, file: &Path) -> std::result::Result<Self, StoreError> {
+        Ok(Self { watermark: Arc::new(Watermark::in_file(file)?), ..self })
     }
 
     /// Scheme, hosts and database.
@@ -124,14 +136,14 @@ impl Server {
         &self.place
     }
 
-    /// Makes the tables in an empty database.
+    /// Makes the tables in an empty database. [`StoreError::ServerRestored`] if the database lacks what this home has seen.
     pub fn writer(&self) -> std::result::Result<Client, StoreError> {
-        let client = self.connect()?;
-        self.check_clock(&client)?;
-        client.script(PENDING)?;
-        client.begin()?;
-        client.script(ALONE)?;
-        if self.is_made(&client)? {
+        let client = self.begun()?;
+        let is_made = self.is_made(&client)?;
+        if self.watermark.check(&client, is_made)? {
+            return Err(StoreError::ServerRestored { server: self.place.clone() });
+        }
+        if is_made {
             // Nothing was written, so nothing waits for a standby.
             client.undo()?;
             may_write(&client)?;
@@ -139,6 +151,28 @@ impl Server {
             client.script(SCHEMA)?;
             client.commit()?;
         }
+        Ok(client)
+    }
+
+    /// Inside a transaction by which the database, although restored, has what this home has seen.
+    pub fn renewing(&self) -> std::result::Result<Client, StoreError> {
+        let client = self.begun()?;
+        self.watermark.accept(&client)?;
+        Ok(client)
+    }
+
+    /// Whether it lacked, at the last connection, what this home has seen.
+    pub fn is_behind(&self) -> bool {
+        self.watermark.is_behind()
+    }
+
+    /// Inside a transaction, alone with the tables.
+    fn begun(&self) -> std::result::Result<Client, StoreError> {
+        let client = self.connect()?;
+        self.check_clock(&client)?;
+        client.script(PENDING)?;
+        client.begin()?;
+        client.script(ALONE)?;
         Ok(client)
     }
 
@@ -208,7 +242,7 @@ impl Server {
             Error::new(kind, detail_of(&error))
         })?;
         runtime.spawn(drive(connection, Arc::clone(&warnings)));
-        Ok(Client::new(client, warnings, Arc::clone(&self.driver)))
+        Ok(Client::new(client, warnings, Arc::clone(&self.watermark), Arc::clone(&self.driver)))
     }
 }
 
