@@ -96,7 +96,7 @@ fn a_bundle_and_a_trust_file_are_refused_by_every_verifier() {
     // A later one has more than its number changed.
     let manifest = String::from_utf8(members["manifest.json"].clone()).expect("text");
     let later =
-        manifest.replacen("{", "{\"purpose\": \"court\", ", 1).replace("authros-evidence/1", "authros-evidence/2");
+        manifest.replacen('{', "{\"purpose\": \"court\", ", 1).replace("authros-evidence/1", "authros-evidence/2");
     members.insert("manifest.json".to_owned(), later.into_bytes());
     let bundle = home.root().join("later.authros");
     fs::write(&bundle, archive::write(&members).expect("packed")).expect("written");

@@ -89,7 +89,8 @@ fn longest(flags: [&str; 2], items: usize, name: &str) -> Facts {
         let level = |(letter, name): (&char, &String)| format!("({letter}) {name}: {standing}");
         text(&WORDING.levels.iter().map(level).collect::<Vec<_>>().join("; "))
     };
-    let every: Vec<String> = Standing::VARIANTS.iter().map(|standing| format!("1,000,000 {}", standing.word())).collect();
+    let every: Vec<String> =
+        Standing::VARIANTS.iter().map(|standing| format!("1,000,000 {}", standing.word())).collect();
     let every = every.join(", ");
     let raw = raw();
     let mut all: Fields = fields(&raw["facts"]).into_keys().map(|name| (name, Fact::Number(1_000_000))).collect();
