@@ -11,7 +11,7 @@ use super::plan::Plan;
 use super::{parse, show::Question};
 use crate::model::{clean, counted};
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, Register, ServeGateway};
-use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView};
+use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView, LeaseView, WorkerView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
@@ -110,6 +110,7 @@ pub fn status(view: &GatewayStatusView) -> String {
             key.not_after.in_milliseconds()
         )
     }));
+    lines.extend(view.lease.iter().flat_map(lease));
     lines.extend(view.senders.iter().map(|sender| {
         let place = sender.peer.as_deref().map_or_else(|| "not connected".to_owned(), |peer| clean(peer, 60));
         let (frames, bytes) = (counted(sender.frames, "frame"), counted(sender.bytes, "byte"));
@@ -117,4 +118,19 @@ pub fn status(view: &GatewayStatusView) -> String {
     }));
     lines.extend(view.refused.iter().map(|row| format!("refused {}: {}", row.count, row.text)));
     lines.join("\n")
+}
+
+fn lease(view: &LeaseView) -> Vec<String> {
+    let since = view.since.map(|since| format!(" since {}", since.in_milliseconds())).unwrap_or_default();
+    let number = view.number;
+    let first = match &view.holder {
+        Some(holder) if holder.is_own => format!("lease {number}, held here{since}"),
+        Some(holder) => format!("lease {number}, held by {}{since}", clean(&holder.name, 120)),
+        None => "no worker holds the lease, so nothing is anchored or verified; one takes it within 10 s".to_owned(),
+    };
+    let worker = |worker: &WorkerView| {
+        let here = if worker.is_own { ", here" } else { "" };
+        format!("worker {}{here}, seen {} s ago", clean(&worker.name, 120), worker.silent)
+    };
+    std::iter::once(first).chain(view.workers.iter().map(worker)).collect()
 }

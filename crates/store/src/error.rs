@@ -68,6 +68,13 @@ pub enum StoreError {
         "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
     )]
     Unknown { server: PathBuf, detail: String },
+    #[error(
+        "this worker does not hold the lease of {}, and another does this for all; run the command where `authros gateway \
+         status` shows the holder, or again in 10 s if it is gone", server.display()
+    )]
+    NotHolder { server: PathBuf },
+    #[error("another process changed the same in {} at this moment; run the command again", file.display())]
+    Raced { file: PathBuf },
     #[error("{} cannot store {detail}; leave that character out", server.display())]
     Nul { server: PathBuf, detail: String },
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
@@ -129,6 +136,8 @@ impl StoreError {
             | Self::Open { .. }
             | Self::ServerRefused { .. }
             | Self::ServerReadOnly { .. }
+            | Self::NotHolder { .. }
+            | Self::Raced { .. }
             | Self::ServerClock { .. } => ErrorKind::Refused,
             Self::Database { .. }
             | Self::Closed
@@ -162,6 +171,7 @@ impl StoreError {
             | Self::ServerReadOnly { server: file, .. }
             | Self::ServerClock { server: file, .. }
             | Self::Unknown { server: file, .. }
+            | Self::NotHolder { server: file }
             | Self::Nul { server: file, .. }
                 if file.as_os_str().is_empty() =>
             {

@@ -383,13 +383,32 @@ impl Notes {
         change: impl FnOnce(&mut N::Value) -> Result<T, E>,
     ) -> Result<T, E> {
         let _one_at_a_time = self.0.one_at_a_time();
-        let mut value = self.read(note)?.unwrap_or_default();
+        let known = self.read(note)?;
+        let is_new = known.is_none();
+        let mut value = known.unwrap_or_default();
         let before = text(note, &value)?;
         let answer = change(&mut value)?;
         if text(note, &value)? != before {
-            self.write(note, &value)?;
+            self.replace(row(note, &value)?, before, is_new)?;
         }
         Ok(answer)
+    }
+
+    /// Refused if another process changed it meanwhile.
+    fn replace(&self, [kind, about, value]: NoteRow, before: String, is_new: bool) -> Result<(), StoreError> {
+        let changed = match is_new {
+            true => {
+                self.0.changed("INSERT INTO notes VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", [kind, about, value])
+            }
+            false => {
+                let sql = "UPDATE notes SET value = ?3 WHERE kind = ?1 AND about = ?2 AND value = ?4";
+                self.0.changed(sql, [kind, about, value, before])
+            }
+        };
+        match changed? {
+            0 => Err(StoreError::Raced { file: self.0.path().to_owned() }),
+            _ => Ok(()),
+        }
     }
 
     /// Only if the value is the same.

@@ -31,6 +31,11 @@ pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Pat
     }
 }
 
+/// A home without keys may open another gateway's store, to restore them, but does no work there.
+pub(in crate::site) fn may_hold(ledger: &Ledger, home: &Home) -> Result<bool> {
+    Ok(!ledger.lease.is_shared() || other_gateway(&known(ledger)?, ledger.path(), home).is_none())
+}
+
 /// Refuses a new profile where the store is another gateway's.
 pub(in crate::site) fn check_unused(parts: &Parts) -> Result<()> {
     let ledger = &parts.plant.ledger;

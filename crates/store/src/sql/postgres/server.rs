@@ -29,6 +29,10 @@ const NO_WRITES: &str = "database does not allow writes";
 const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_session_timeout = 0; SET lock_timeout = 0;
     SET client_min_messages = warning";
 
+/// Of a writer between two statements of a transaction: one that was stopped must not keep its locks, the lease's among them.
+/// Nothing ends a commit by it.
+const LONGEST_PAUSE: &str = "SET idle_in_transaction_session_timeout = '4s'";
+
 /// What a transaction has changed so far; `settle` adds it to the counts and empties them. ON COMMIT DELETE ROWS would lock
 /// them, and each such lock is in the server's log.
 const PENDING: &str = "CREATE TEMPORARY TABLE pending_counters (
@@ -122,6 +126,7 @@ impl Server {
     pub fn writer(&self) -> std::result::Result<Client, StoreError> {
         let client = self.connect()?;
         self.check_clock(&client)?;
+        client.script(LONGEST_PAUSE)?;
         client.script(PENDING)?;
         client.begin()?;
         client.script(ALONE)?;
