@@ -111,29 +111,29 @@ pub(super) fn lead(site: &Arc<Site>, needs: Needs, opened: mpsc::UnboundedReceiv
 
 impl Leading {
     async fn run(mut self, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
-    let site = Arc::clone(&self.site);
-    let is_shared = site.plant.ledger.lease.is_shared();
-    loop {
-        let look = async {
-            match is_shared {
-                true => tokio::time::sleep(LOOK).await,
-                false => std::future::pending().await,
+        let site = Arc::clone(&self.site);
+        let is_shared = site.plant.ledger.lease.is_shared();
+        loop {
+            let look = async {
+                match is_shared {
+                    true => tokio::time::sleep(LOOK).await,
+                    false => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                Some(owner) = opened.recv() => self.opened(&owner),
+                () = look => {
+                    self.beat().await;
+                    self.follow();
+                }
+                () = site.stopped() => break,
             }
-        };
-        tokio::select! {
-            Some(owner) = opened.recv() => self.opened(&owner),
-            () = look => {
-                self.beat().await;
-                self.follow();
-            }
-            () = site.stopped() => break,
+        }
+        if let Some(term) = &mut self.term {
+            // They end themselves, at a good place.
+            term.tasks.clear();
         }
     }
-    if let Some(term) = &mut self.term {
-        // They end themselves, at a good place.
-        term.tasks.clear();
-    }
-}
 
     /// Its work is that of the present holder, or of one that follows it.
     fn follow(&mut self) {
