@@ -234,17 +234,28 @@ async fn verify(site: Arc<Site>) {
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
         while let Some(network) = site.parts.link.network_now() {
-            // Not on a thread that would go on after the lease is lost.
-            match block_in_place(|| verifier::verify_round(&site.plant, &network)) {
-                Ok(0) => break,
-                Ok(_) => tokio::task::yield_now().await,
-                Err(error) => {
+            // If it is still at work when the lease is lost, the states it expects keep it from harm.
+            let plant = site.plant.clone();
+            let round = tokio::task::spawn_blocking(move || verifier::verify_round(&plant, &network)).await;
+            match round {
+                Ok(Ok(0)) => break,
+                Ok(Ok(_)) => {}
+                Ok(Err(error)) => {
                     site.parts.hub.alarm(&format!("records cannot be verified at the moment and are waiting: {error}"));
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
+                // The supervisor reports a panic and recovers.
+                Err(error) => return pass_on(error),
             }
         }
+    }
+}
+
+/// Turns a panic of a part into a panic of the whole task.
+fn pass_on(error: tokio::task::JoinError) {
+    if let Ok(panic) = error.try_into_panic() {
+        std::panic::resume_unwind(panic);
     }
 }
 
