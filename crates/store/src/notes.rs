@@ -384,31 +384,32 @@ impl Notes {
     ) -> Result<T, E> {
         let _one_at_a_time = self.0.one_at_a_time();
         let known = self.read(note)?;
-        let is_new = known.is_none();
-        let mut value = known.unwrap_or_default();
+        // Not every value can be cloned.
+        let mut value = match &known {
+            Some(known) => parsed::<N>(&note.about(), text(note, known)?.as_bytes())?,
+            None => N::Value::default(),
+        };
         let before = text(note, &value)?;
         let answer = change(&mut value)?;
-        if text(note, &value)? != before {
-            self.replace(row(note, &value)?, before, is_new)?;
+        if text(note, &value)? != before && !self.replace(note, known.as_ref(), &value)? {
+            return Err(StoreError::Raced { file: self.0.path().to_owned() }.into());
         }
         Ok(answer)
     }
 
-    /// Refused if another process changed it meanwhile.
-    fn replace(&self, [kind, about, value]: NoteRow, before: String, is_new: bool) -> Result<(), StoreError> {
-        let changed = match is_new {
-            true => {
-                self.0.changed("INSERT INTO notes VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", [kind, about, value])
+    /// Only if its value is still `before`, `None` for no note: of several programs one succeeds.
+    pub fn replace<N: Note>(&self, note: &N, before: Option<&N::Value>, value: &N::Value) -> Result<bool, StoreError> {
+        let [kind, about, value] = row(note, value)?;
+        let changed = match before {
+            None => {
+                self.0.changed("INSERT INTO notes VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING", [kind, about, value])?
             }
-            false => {
+            Some(before) => {
                 let sql = "UPDATE notes SET value = ?3 WHERE kind = ?1 AND about = ?2 AND value = ?4";
-                self.0.changed(sql, [kind, about, value, before])
+                self.0.changed(sql, [kind, about, value, text(note, before)?])?
             }
         };
-        match changed? {
-            0 => Err(StoreError::Raced { file: self.0.path().to_owned() }),
-            _ => Ok(()),
-        }
+        Ok(changed > 0)
     }
 
     /// Only if the value is the same.
