@@ -14,7 +14,7 @@ use crate::crypto::private_file::create_private;
 use crate::crypto::{CryptoError, Passphrase};
 use crate::model::{clean, counted};
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, MakeJoinFile, Register, ServeGateway};
-use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView};
+use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView, LeaseView, WorkerView};
 use crate::service::{Client, Failure, Needs, SecretText, joining};
 use authros_output::{Output, table};
 
@@ -206,6 +206,7 @@ pub fn status(view: &GatewayStatusView) -> String {
             key.not_after.in_milliseconds()
         )
     }));
+    lines.extend(view.lease.iter().flat_map(lease));
     lines.extend(view.senders.iter().map(|sender| {
         let place = match &sender.peer {
             Some(peer) => clean(peer, 60),
@@ -217,4 +218,19 @@ pub fn status(view: &GatewayStatusView) -> String {
     }));
     lines.extend(view.refused.iter().map(|row| format!("refused {}: {}", row.count, row.text)));
     lines.join("\n")
+}
+
+fn lease(view: &LeaseView) -> Vec<String> {
+    let since = view.since.map(|since| format!(" since {}", since.in_milliseconds())).unwrap_or_default();
+    let number = view.number;
+    let first = match &view.holder {
+        Some(holder) if holder.is_own => format!("lease {number}, held here{since}"),
+        Some(holder) => format!("lease {number}, held by {}{since}", clean(&holder.name, 120)),
+        None => "no worker holds the lease, so nothing is anchored or verified; one takes it within 10 s".to_owned(),
+    };
+    let worker = |worker: &WorkerView| {
+        let here = if worker.is_own { ", here" } else { "" };
+        format!("worker {}{here}, seen {} s ago", clean(&worker.name, 120), worker.silent)
+    };
+    std::iter::once(first).chain(view.workers.iter().map(worker)).collect()
 }

@@ -18,6 +18,7 @@ mod postgres_failover;
 mod postgres_join;
 mod sessions;
 mod swarm;
+mod workers;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -91,6 +92,18 @@ impl Gateway {
         let view = serde_json::from_str::<Value>(line).expect("JSON")["gateway"].clone();
         (self.key, self.domain) = (text(&view, "gateway"), text(&view, "domain"));
         self.site = Some(site);
+    }
+
+    /// Another worker of the same gateway on its database: a home with the same keys, and an address of its own.
+    fn worker_beside(&self) -> Self {
+        let home = Home::new();
+        let [from, to] = [&self.home, &home].map(|home| home.path().to_str().expect("UTF-8").to_owned());
+        support::process::output_of("cp", &["-a", &from, &to]);
+        let (chain, store, confirmations) = (self.chain.clone(), self.store.clone(), self.confirmations);
+        let (port, key, domain) = (free_port(), String::new(), String::new());
+        let mut worker = Self { home, port, chain, confirmations, site: None, key, domain, store };
+        worker.start();
+        worker
     }
 
     fn kill(&mut self) {

@@ -17,7 +17,7 @@ use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::site::{STORE_LOST, is_bound, join_key, keyring_faults, misses_store, other_gateway, store_loss};
 use crate::store::notes::{ProfileAccounts, SharedSystemKeys, StoreWasGone};
-use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
+use crate::store::{CacheSettings, Glance, LeaseState, SiteLock, StoreError, cache, files, snapshot};
 
 /// What a running site says of itself, and of its chain if that answers.
 pub struct Running {
@@ -423,6 +423,14 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
         return None;
     };
     notes(glance.check_notes(), sheet);
+    match glance.lease() {
+        Ok(Some(LeaseState { holder: Some(holder), workers, .. })) => {
+            let workers = counted(workers.len() as u64, "worker");
+            sheet.ok("lease", &format!("held by {}, {workers}", holder.name));
+        }
+        Ok(_) => sheet.ok("lease", "held by no worker: `authros gateway serve` takes it"),
+        Err(error) => sheet.fail("lease", &error.to_string(), DAMAGED),
+    }
     let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
     if let Some(text) = other_gateway(&known, glance.path(), home) {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);

@@ -318,6 +318,28 @@ pub struct GatewayStatusView {
     pub list_version: u64,
     pub list_expires: Option<Timestamp>,
     pub refused: Vec<RefusedView>,
+    /// Where several workers may share the store.
+    pub lease: Option<LeaseView>,
+}
+
+/// Which worker does for all what one does alone.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeaseView {
+    /// How often it was taken so far.
+    pub number: u64,
+    pub holder: Option<WorkerView>,
+    pub since: Option<Timestamp>,
+    /// Those that gave a sign of life lately.
+    pub workers: Vec<WorkerView>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkerView {
+    /// Its machine, the address that its gateway listens on, and the beginning of a random id; cleaned.
+    pub name: String,
+    pub is_own: bool,
+    /// Seconds since its last sign of life.
+    pub silent: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -75,6 +75,13 @@ pub enum StoreError {
         "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
     )]
     Unknown { server: PathBuf, detail: String },
+    #[error(
+        "this worker does not hold the lease of {}, and another does this for all; run the command where `authros gateway \
+         status` shows the holder, or again in 10 s if it is gone", server.display()
+    )]
+    NotHolder { server: PathBuf },
+    #[error("another process changed the same in {} at this moment; run the command again", file.display())]
+    Raced { file: PathBuf },
     #[error("{} cannot store {detail}; leave that character out", server.display())]
     Nul { server: PathBuf, detail: String },
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
@@ -138,6 +145,8 @@ impl StoreError {
             | Self::ServerRefused { .. }
             | Self::ServerReadOnly { .. }
             | Self::ServerRestored { .. }
+            | Self::NotHolder { .. }
+            | Self::Raced { .. }
             | Self::ServerClock { .. } => ErrorKind::Refused,
             Self::Database { .. }
             | Self::Closed
@@ -171,6 +180,7 @@ impl StoreError {
             | Self::ServerReadOnly { server: file, .. }
             | Self::ServerClock { server: file, .. }
             | Self::Unknown { server: file, .. }
+            | Self::NotHolder { server: file }
             | Self::Nul { server: file, .. }
                 if file.as_os_str().is_empty() =>
             {

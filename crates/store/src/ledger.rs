@@ -13,6 +13,7 @@ mod feed;
 mod forwarding;
 mod incidents;
 mod inspect;
+mod lease;
 mod quarantine;
 mod query;
 mod readers;
@@ -25,7 +26,7 @@ mod transactions;
 mod writer;
 
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -41,6 +42,8 @@ pub use self::feed::{FeedFilter, FeedPage, FeedPlace, FeedRow};
 pub use self::forwarding::{BoundName, ForwardedPage, KeptBinding, KeptReceipt};
 pub use self::incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
 pub use self::inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
+pub use self::lease::{BEAT, Claim, LeaseState, Worker};
+use self::lease::{Fence, Tenure};
 pub use self::quarantine::{AlarmRow, GapRow, HeldMinute, HeldQuery, HeldRow, Hold, Loss, PinRow};
 pub use self::query::{FilterChoice, Glance, LastSeen, NewestRecord, RecordPage, RecordQuery};
 use self::readers::{Place, Readers};
@@ -66,7 +69,7 @@ const SCHEMA: Schema = Schema {
 };
 
 macro_rules! stores {
-    ($($(#[$doc:meta])* $field:ident: $store:ident;)*) => {
+    ($($(#[$doc:meta])* $field:ident: $store:ident $(, $guard:ident)?;)*) => {
         $($(#[$doc])* #[derive(Debug, Clone)] pub struct $store(pub(crate) Database);)*
 
         /// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
@@ -78,18 +81,19 @@ macro_rules! stores {
 
         impl From<Database> for Ledger {
             fn from(database: Database) -> Self {
-                Self { $($field: $store(database.clone()),)* database }
+                Self { $($field: $store(database.clone()$(.$guard())?),)* database }
             }
         }
     };
 }
 
+// What only the holder of the lease writes is `held`.
 stores! {
     records: Records;
-    batches: Batches;
+    batches: Batches, held;
     counts: Counts;
     /// Records whose ciphertext is deleted by a rule.
-    retention: Retention;
+    retention: Retention, held;
     /// Records that somebody had erased, and what is stated of them.
     erasures: Erasures;
     /// What a gateway took over, and what it stated.
@@ -97,20 +101,21 @@ stores! {
     /// What pseudonyms of topics and types mean.
     names: Names;
     incidents: Incidents;
-    lanes: Lanes;
+    lanes: Lanes, held;
     /// Who may do what: events of the contract, and envelopes.
-    rights: Rights;
+    rights: Rights, held;
     quarantine: Quarantine;
     pins: Pins;
     losses: Losses;
     /// What the chain and time authorities prove of batches.
-    proofs: Proofs;
+    proofs: Proofs, held;
     /// The blocks that the watcher has read.
-    trail: Trail;
+    trail: Trail, held;
     bindings: Bindings;
     /// Records for readers, in the order they became readable.
     feed: Feed;
     audit: AuditLog;
+    lease: Lease;
     inspection: Inspection;
     /// Facts beside the tables.
     notes: Notes;
@@ -120,6 +125,8 @@ stores! {
 #[derive(Debug, Clone)]
 pub(crate) struct Database {
     shared: Arc<Shared>,
+    /// Its writes are the lease holder's alone.
+    is_held: bool,
 }
 
 #[derive(Debug)]
@@ -129,11 +136,10 @@ struct Shared {
     clean: bool,
     writer: writer::Writer,
     readers: Readers,
+    tenure: Arc<Tenure>,
     /// Held while a note is read, changed and written.
     notes: Mutex<()>,
     held: AtomicUsize,
-    /// Counts names received from owners elsewhere.
-    told: AtomicU64,
 }
 
 impl Ledger {
@@ -183,11 +189,11 @@ impl Ledger {
         let place = Arc::new(place);
         let opened = place.writer().and_then(|connection| Ok((begin(&connection, place.path())?, connection)));
         let ((recorder, clean, is_new), connection) = opened.map_err(|error| error.in_file(place.path()))?;
-        let writer = writer::Writer::start(connection, Arc::clone(&place), clean && !is_new)?;
-        let (readers, notes) = (Readers::default(), Mutex::default());
-        let (held, told) = (AtomicUsize::new(0), AtomicU64::new(0));
-        let shared = Shared { place, recorder, clean, writer, readers, notes, held, told };
-        Ok(Self::from(Database { shared: Arc::new(shared) }))
+        let tenure = Arc::new(Tenure::new(place.path(), place.file().is_some())?);
+        let writer = writer::Writer::start(connection, Arc::clone(&place), Arc::clone(&tenure), clean && !is_new)?;
+        let (readers, notes, held) = (Readers::default(), Mutex::default(), AtomicUsize::new(0));
+        let shared = Shared { place, recorder, clean, writer, readers, tenure, notes, held };
+        Ok(Self::from(Database { shared: Arc::new(shared), is_held: false }))
     }
 
     pub fn path(&self) -> &Path {
@@ -256,7 +262,21 @@ impl Database {
         records: usize,
         work: impl Fn(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, StoreError> {
-        relieved(|| self.shared.writer.write(records, work)).map_err(|error| error.in_file(self.path()))
+        let fence = if self.is_held { self.shared.tenure.fence() } else { Ok(None) };
+        let fenced = |fence: Option<Fence>| {
+            relieved(|| {
+                self.shared.writer.write(records, move |session| {
+                    fence.map_or(Ok(()), |fence| fence.check(session.connection))?;
+                    work(session)
+                })
+            })
+        };
+        fence.and_then(fenced).map_err(|error| error.in_file(self.path()))
+    }
+
+    /// The same for writes that are the lease holder's alone.
+    pub fn held(&self) -> Self {
+        Self { is_held: true, ..self.clone() }
     }
 
     /// Runs `work` on one snapshot.
@@ -332,6 +352,8 @@ impl Drop for RecordsHeld {
 fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, bool), StoreError> {
     match connection.find("SELECT clean FROM about", [], |row| row.get::<bool>(0))? {
         Some(clean) => {
+            // A server recovers by itself, and others may use it now.
+            let clean = clean || connection.server().is_some();
             let recorder = own_prefix(connection)?;
             if let Some(file) = connection.file().filter(|_| !clean) {
                 // Readers check ciphertext, perhaps most of the file, by digest.

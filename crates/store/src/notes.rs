@@ -396,11 +396,16 @@ impl Notes {
         change: impl FnOnce(&mut N::Value) -> Result<T, E>,
     ) -> Result<T, E> {
         let _one_at_a_time = self.0.one_at_a_time();
-        let mut value = self.read(note)?.unwrap_or_default();
+        let known = self.read(note)?;
+        // Not every value can be cloned.
+        let mut value = match &known {
+            Some(known) => parsed::<N>(&note.about(), text(note, known)?.as_bytes())?,
+            None => N::Value::default(),
+        };
         let before = text(note, &value)?;
         let answer = change(&mut value)?;
-        if text(note, &value)? != before {
-            self.write(note, &value)?;
+        if text(note, &value)? != before && !self.replace(note, known.as_ref(), &value)? {
+            return Err(StoreError::Raced { file: self.0.path().to_owned() }.into());
         }
         Ok(answer)
     }

@@ -12,10 +12,11 @@ use crate::support::{Anvil, Authros, Conservation, Home, Running, faulty, long, 
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, except those that are threads.
-const TASKS: [&str; 13] = [
+const TASKS: [&str; 14] = [
     "news",
     "audit",
     "quarantine",
+    "heads",
     "room",
     "ros",
     "chain",

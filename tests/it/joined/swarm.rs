@@ -73,10 +73,19 @@ pub(super) struct Swarm {
 }
 
 impl Place {
-    fn of(gateway: &Gateway, keys: &Keys) -> Self {
+    fn of(workers: &[&Gateway], keys: &Keys) -> Self {
         let context = Context { provider: keys.provider(), domain: keys.domain };
-        let endpoint = Endpoint { addresses: vec![gateway.address()], context, patience: PATIENCE };
-        Self { endpoint, key: gateway.key.parse().expect("a key") }
+        let addresses = workers.iter().map(|worker| worker.address()).collect();
+        let endpoint = Endpoint { addresses, context, patience: PATIENCE };
+        Self { endpoint, key: workers[0].key.parse().expect("a key") }
+    }
+
+    /// The same, with each address first for some.
+    fn turned(&self, number: u16) -> Self {
+        let mut turned = self.clone();
+        let addresses = &mut turned.endpoint.addresses;
+        addresses.rotate_left(usize::from(number) % addresses.len());
+        turned
     }
 
     async fn allocate(&self, keys: &Keys, name: &str, source: IpAddr) -> Result<Credentials, GatewayError> {
@@ -102,9 +111,14 @@ fn source(number: u16) -> IpAddr {
 impl Swarm {
     /// Clients that the gateway knows.
     pub fn start(keys: Keys, gateway: &Gateway, load: Load) -> Self {
+        Self::among(keys, &[gateway], load)
+    }
+
+    /// Clients that know the addresses of all of its workers.
+    pub fn among(keys: Keys, workers: &[&Gateway], load: Load) -> Self {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.expect("a runtime");
-        let place = Place::of(gateway, &keys);
+        let place = Place::of(workers, &keys);
         let (ending, acknowledged) = (AtomicBool::new(false), AtomicU64::new(0));
         let enrolling = Semaphore::new(ENROLLING);
         let scene = Arc::new(Scene { keys, place, ending, acknowledged, enrolling });
@@ -167,7 +181,7 @@ async fn missing(place: &Place, keys: &Keys, digests: &[Digest]) -> Result<usize
 async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
     let (name, topic) = (format!("light-{number}"), format!("/robot{number}/odom"));
     let from = source(number);
-    let known = enrolled(&scene, &name, from).await;
+    let (known, place) = (enrolled(&scene, &name, from).await, scene.place.turned(number));
     let (mut brought, mut next, mut session) = (Brought::default(), 1, None);
     // Not all of them at once.
     tokio::time::sleep(load.every * u32::from(number) / u32::from(load.clients)).await;
@@ -182,7 +196,7 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
         let mut pause = PAUSES[0];
         loop {
             let tried = Instant::now();
-            let done = attempt(&scene.place, &known, from, &mut session, &uploads).await;
+            let done = attempt(&place, &known, from, &mut session, &uploads).await;
             let Err(error) = done else { break };
             assert!(begun.elapsed() < REST, "{name}: the gateway does not take its records: {error}");
             session = None;

@@ -83,6 +83,11 @@ impl Sender {
         Self { ledger, observer, policy, needed: Mutex::default(), heads: Mutex::default(), lanes: Mutex::default() }
     }
 
+    /// Another process sends from now on: what is known here of the lanes will be false.
+    pub fn forget(&self) {
+        self.lanes.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     fn cell(&self, account: Address) -> Arc<Cell> {
         let mut lanes = self.lanes.lock().unwrap_or_else(PoisonError::into_inner);
         Arc::clone(lanes.entry(account).or_default())

@@ -2,8 +2,11 @@
 //! Several nodes may answer at one URL, some of them behind: the newest blocks are read one by one, what is not sure is
 //! read again, and a node that is behind is no reorg ([`reorg`]).
 
+mod follower;
 pub mod foreign;
 mod reorg;
+
+pub use self::follower::{Follower, take_over};
 
 use std::collections::{BTreeMap, HashSet};
 use std::ops::RangeInclusive;

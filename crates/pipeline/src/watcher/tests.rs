@@ -163,3 +163,40 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     process.network.chain = own;
     watch_round(&process.plant, &process.network).await.expect("the pinned chain is back");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_process_beside_the_holder_knows_what_it_has_read_goes_back_with_it_and_takes_over() {
+    let home = tempfile::tempdir().expect("folder");
+    let process = Process::on_embedded(&home.path().join("a")).await;
+    let mut process = fork(process, home.path()).await;
+    let (mut follower, mut beside) = (Follower::default(), network(process.network.chain.clone()));
+    let newcomer = EoaSecret::generate().expect("key");
+    by_hand(&process.network.chain, &newcomer, &identity(&process.network.chain, &newcomer)).await;
+    let known = |beside: &Network| beside.directory.identity(newcomer.address()).is_ok();
+    let read = follower.round(&process.plant, &beside).await.expect("reads the store");
+    assert!(read.is_none() && !known(&beside), "the holder has not read the newest block");
+    let head = watch_round(&process.plant, &process.network).await.expect("reads the chain");
+    let read = follower.round(&process.plant, &beside).await.expect("reads the store");
+    assert_eq!((read.map(|read| read.hash), known(&beside)), (Some(head.hash), true));
+    // An event of a block after that is taken alone.
+    let device = SignerId([7; 32]);
+    by_hand(&process.network.chain, &newcomer, &Call::Lend { device, until: None }).await;
+    watch_round(&process.plant, &process.network).await.expect("reads the chain");
+    assert!(follower.round(&process.plant, &beside).await.expect("reads the store").is_some());
+    let loans = beside.directory.account(newcomer.address()).map(|account| account.devices.len());
+    assert_eq!(loans, Some(1));
+
+    process.network.chain = other_way(&process, home.path(), 6).await;
+    beside.chain = process.network.chain.clone();
+    let read = follower.round(&process.plant, &beside).await.expect("reads the store");
+    assert!(read.is_none() && known(&beside), "the holder does not know the other chain");
+    watch_round(&process.plant, &process.network).await.expect("goes back");
+    assert!(follower.round(&process.plant, &beside).await.expect("reads the store").is_some() && !known(&beside));
+    assert!(beside.directory.identity(process.eoa.address()).is_ok());
+
+    let other = EoaSecret::generate().expect("key");
+    by_hand(&beside.chain, &other, &identity(&beside.chain, &other)).await;
+    take_over(&process.plant, &beside).expect("begins where the holder ended");
+    watch_round(&process.plant, &beside).await.expect("reads on");
+    assert!(beside.directory.identity(other.address()).is_ok());
+}

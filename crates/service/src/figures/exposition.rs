@@ -4,6 +4,7 @@ use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures, TopicFigures, shor
 use crate::model::Timestamp;
 use crate::pipeline::sender::LaneState;
 use crate::reply::{HealthLevel, TaskState};
+use crate::store::LeaseState;
 
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
@@ -223,12 +224,24 @@ fn health(text: &mut Text, figures: &Figures) {
             ([("code", code)], count)
         });
     }
+    figures.lease.iter().for_each(|lease| leases(text, lease));
     let help = "Active alerts of the site itself, by rule.";
     text.family("authros_alerts", "gauge", help, &figures.alerts, |(rule, count)| ([("rule", rule)], count));
     let (waiting, dropped) = figures.deliveries;
     text.single("authros_alert_deliveries_waiting", "gauge", "Alert deliveries that are queued.", waiting);
     let help = "Alert deliveries dropped because the queue was full, and not yet reported by another delivery.";
     text.single("authros_alert_deliveries_dropped", "gauge", help, dropped);
+}
+
+fn leases(text: &mut Text, lease: &LeaseState) {
+    let (is_held, is_own) = (lease.holder.is_some(), lease.holder.as_ref().is_some_and(|holder| holder.is_own));
+    let help = "1 = a worker holds the lease of the database.";
+    text.single("authros_lease_held", "gauge", help, u8::from(is_held));
+    text.single("authros_lease_held_here", "gauge", "1 = this worker holds it.", u8::from(is_own));
+    let help = "How often the lease was taken, by any worker.";
+    text.single("authros_lease_taken_total", "counter", help, lease.number);
+    let help = "Workers that gave a sign of life in the database within 10 s.";
+    text.single("authros_workers", "gauge", help, lease.workers.len());
 }
 
 fn histogram(text: &mut Text, latency: &Latency) {

@@ -10,7 +10,7 @@ use crate::chain::serve::is_this_machine;
 use crate::model::Timestamp;
 use crate::pipeline::sender::LaneState;
 use crate::reply::{LifeLine, PartHealth, QueueView, TaskView};
-use crate::store::CacheState;
+use crate::store::{CacheState, LeaseState};
 
 #[derive(Debug, Clone, Default)]
 pub struct Figures {
@@ -36,6 +36,8 @@ pub struct Figures {
     /// Seconds ahead of the time used for rights; negative = behind.
     pub clock_ahead: i64,
     pub gateway: Option<GatewayFigures>,
+    /// Of a store that several workers may share.
+    pub lease: Option<LeaseState>,
     pub alerts: Vec<(&'static str, u64)>,
     /// Waiting, and dropped without report.
     pub deliveries: (u64, u64),

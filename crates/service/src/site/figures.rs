@@ -131,6 +131,7 @@ impl Site {
             audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
+            lease: ledger.lease.state()?,
             alerts: self.alerts.by_rule(),
             deliveries: self.alerts.deliveries(),
             latencies: Milestone::ALL.map(|milestone| self.latency(milestone)).into(),

@@ -18,6 +18,7 @@ mod gateway;
 mod handle;
 mod identity;
 mod incidents;
+mod leading;
 mod lifetime;
 mod mirror;
 mod operators;

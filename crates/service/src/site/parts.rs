@@ -7,9 +7,10 @@ use tokio::sync::{broadcast, mpsc};
 use super::audit::Log;
 use super::chain::link::Link;
 use super::identity::Owners;
+use super::leading::worker_name;
 use super::lifetime::Lifetime;
 use super::progress::Runs;
-use super::storage::{open_ledger, open_on_server};
+use super::storage::{may_hold, open_ledger, open_on_server};
 use super::supervision::Supervisor;
 use crate::chain::{Policy, check_embedded_chain};
 use crate::config::Config;
@@ -18,7 +19,7 @@ use crate::paths::Home;
 use crate::pipeline::{Owner, Plant, Sender};
 use crate::service::hub::Hub;
 use crate::service::reply::Result;
-use crate::store::{CacheSettings, Ciphertext, Ledger};
+use crate::store::{CacheSettings, Ciphertext, Claim, Ledger};
 
 #[derive(Clone)]
 pub(super) struct Parts {
@@ -50,6 +51,9 @@ impl Parts {
             Some(url) => open_on_server(&home, url, config.store_roots.as_deref())?,
             None => open_ledger(&home)?,
         };
+        // What begins now depends on who holds it.
+        let claim = if needs_chain && may_hold(&ledger, &home)? { Claim::Take } else { Claim::Nothing };
+        ledger.lease.beat(&worker_name(None), claim)?;
         let ciphertext = match &config.cache_url {
             Some(url) => {
                 let settings = CacheSettings { url: url.clone(), roots: config.cache_roots.clone() };

@@ -141,6 +141,11 @@ impl Standstill {
         }
     }
 
+    /// The stages are another process's now.
+    pub fn forget(&self) {
+        *self.judge.lock().unwrap_or_else(PoisonError::into_inner) = Judge::default();
+    }
+
     /// Blocks of the chain that the watcher has not read.
     async fn unread(&self, network: &Network) -> Option<Work> {
         let head = network.chain.head().await.ok()?.number;

@@ -56,6 +56,7 @@ impl Site {
             ]);
         }
         let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];
+        health.extend(self.lease_health()?);
         health.extend(self.cache_health());
         health.push(self.gateway_health());
         health.extend(self.ros.second.health().map(|(level, text)| PartHealth::new("ros 2", level, &text)));

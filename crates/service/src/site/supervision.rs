@@ -35,6 +35,15 @@ struct Task {
     run: Mutex<(Option<AbortHandle>, Option<&'static str>)>,
 }
 
+/// Also where the task is aborted, it is not shown any more.
+struct Listed(Arc<Supervisor>, Arc<Task>);
+
+impl Drop for Listed {
+    fn drop(&mut self) {
+        self.0.remove(&self.1);
+    }
+}
+
 struct Standing {
     begun: Instant,
     restarts: u64,
@@ -101,7 +110,9 @@ impl Supervisor {
         Run: Future<Output = ()> + Send + 'static,
     {
         let (supervisor, part, task) = (Arc::clone(self), Arc::clone(part), self.add(name.to_owned()));
+        let listed = Listed(Arc::clone(self), Arc::clone(&task));
         tokio::spawn(async move {
+            let _until_it_ends = listed;
             loop {
                 let (run, name) = (work(Arc::clone(&part)), task.name.clone());
                 let mut running = Aborted(tokio::spawn(async move {
@@ -125,7 +136,6 @@ impl Supervisor {
                 task.begins_again();
                 supervisor.hub.changed(Part::Health);
             }
-            supervisor.remove(&task);
         })
     }
 

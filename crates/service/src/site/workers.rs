@@ -1,9 +1,10 @@
-//! Starts the background tasks of a site: sealer, watcher, anchorers, verifier.
+//! The background tasks of a site: those of each, and those of the one that holds its store's lease.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
+use tokio::task::block_in_place;
 
 use super::audit::Audit;
 use super::capture::ros::RosSide;
@@ -14,19 +15,25 @@ use super::chain::link;
 use super::clock::Clock;
 use super::devices::Devices;
 use super::evidence::{ChainProofs, TimeStamps};
+use super::leading::{self, Term};
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
 use super::standstill::Standstill;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
-use crate::chain::ChainError;
+use crate::chain::{BlockRef, ChainError};
 use crate::pipeline::anchorer::Anchorer;
 use crate::pipeline::stages::Stage;
-use crate::pipeline::{Owner, PipelineError, verifier, watcher};
+use crate::pipeline::{Directory, Network, Owner, PipelineError, network_pin, verifier, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, Result};
+
+/// Between looks of a process that follows the holder of the lease, and after a failure.
+const BETWEEN_ROUNDS: Duration = Duration::from_millis(400);
+const AWAY: Duration = Duration::from_secs(2);
+const BETWEEN_LOOKS_AT_OTHERS: Duration = Duration::from_secs(1);
 
 /// Shortest interval between looks at an owner's records: each queries all of the owner's topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
@@ -34,7 +41,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 /// Pause after a look, as a multiple of its length: with many topics a look is slow.
 const TIMES_A_LOOK: u32 = 4;
 
-pub(super) fn start(site: &Arc<Site>, needs: Needs, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) -> Result<()> {
+pub(super) fn start(site: &Arc<Site>, needs: Needs, opened: mpsc::UnboundedReceiver<Arc<Owner>>) -> Result<()> {
     let supervisor = &site.parts.supervisor;
     supervisor.keep("news", &site.parts.hub, Hub::run);
     if site.parts.home.original().is_some() {
@@ -45,20 +52,9 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs, mut opened: mpsc::UnboundedR
         return Ok(());
     }
     supervisor.keep("audit", &site.audit, Audit::keep);
-    supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
     supervisor.keep("room", &site.storage, Storage::keep_room);
     supervisor.keep("clock", &site.clock, Clock::keep);
     tokio::spawn(Arc::clone(&site.storage).check_after_crash());
-    supervisor.keep("retention", &site.storage, Storage::keep_retention);
-    let starting = Arc::clone(site);
-    tokio::spawn(async move {
-        loop {
-            tokio::select! {
-                Some(owner) = opened.recv() => starting.work_for(&owner),
-                () = starting.stopped() => return,
-            }
-        }
-    });
     if needs.ros {
         site.sealer.begin()?;
         let task = supervisor.keep_while("ros", &site.ros, |ros| ros.is_wanted(), RosSide::keep);
@@ -66,23 +62,58 @@ pub(super) fn start(site: &Arc<Site>, needs: Needs, mut opened: mpsc::UnboundedR
     }
     if needs.chain {
         supervisor.keep("chain", &site.connection, Connection::keep_connected);
-        supervisor.keep("owners", site, resume_owners);
-        supervisor.keep("watcher", site, watch);
-        if site.stamps.is_wanted() {
-            supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
-        }
-        supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        supervisor.keep("verifier", site, verify);
-        supervisor.keep("stages", &site.standstill, Standstill::keep);
-        supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
-        supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
-        supervisor.keep("parties", &site.administering, Administering::keep_parties_known);
     }
+    if site.plant.ledger.lease.is_shared() {
+        supervisor.keep("others", site, look_at_others);
+    }
+    leading::lead(site, needs, opened);
     Ok(())
+}
+
+/// What one site does for all that share its store, as long as it holds the lease.
+pub(super) fn hold(site: &Arc<Site>, needs: Needs, term: &mut Term) {
+    term.keep("quarantine", &site.quarantine, Quarantine::keep);
+    term.keep("retention", &site.storage, Storage::keep_retention);
+    term.keep("heads", &site.audit, Audit::keep_heads);
+    if needs.chain {
+        term.keep("owners", site, resume_owners);
+        term.keep("watcher", site, watch);
+        if site.stamps.is_wanted() {
+            term.keep("time stamps", &site.stamps, TimeStamps::keep);
+        }
+        term.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
+        term.keep("verifier", site, verify);
+        term.keep("stages", &site.standstill, Standstill::keep);
+        term.keep("scrubber", &site.audit, Audit::keep_scrubbing);
+        term.keep("expiry", &site.sharing, Sharing::keep_settled);
+        term.keep("parties", &site.administering, Administering::keep_parties_known);
+    }
+}
+
+/// The same for one open owner.
+pub(super) fn hold_for(site: &Arc<Site>, owner: &Arc<Owner>, term: &mut Term) {
+    term.keep_for(owner, "anchorer", site, anchor);
+    if site.parts.config.lanes > 1 {
+        term.keep_for(owner, "lanes", &site.lanes, Lanes::keep_extra);
+    }
+    term.keep_for(owner, "courier", &site.devices, Devices::keep_attending);
+    if site.joined.remote.is_some() {
+        term.keep_for(owner, "mirror", &site.joined, Joined::mirror);
+    }
+}
+
+/// What one does that does not hold it.
+pub(super) fn follow(site: &Arc<Site>, needs: Needs, term: &mut Term) {
+    site.standstill.forget();
+    site.parts.sender.forget();
+    if needs.chain {
+        term.keep("follower", site, follow_holder);
+    }
 }
 
 async fn watch(site: Arc<Site>) {
     let (mut seen, mut state) = (0, site.parts.link.follow());
+    let mut is_taken_over = !site.plant.ledger.lease.is_shared();
     while !site.parts.life.is_stopping() {
         let Some(network) = site.parts.link.network_now() else {
             if state.changed().await.is_err() {
@@ -91,22 +122,19 @@ async fn watch(site: Arc<Site>) {
             continue;
         };
         let begun = Instant::now();
-        let pause = match watcher::watch_round(&site.plant, &network).await {
+        let taken_over = match is_taken_over {
+            true => Ok(()),
+            false => block_in_place(|| watcher::take_over(&site.plant, &network)),
+        };
+        is_taken_over = taken_over.is_ok();
+        let round = match taken_over {
+            Ok(()) => watcher::watch_round(&site.plant, &network).await,
+            Err(error) => Err(error),
+        };
+        let pause = match round {
             Ok(head) => {
-                // The head was requested when the round began at the earliest. Those waiting for its block look next.
-                site.parts.link.saw_head(head, begun);
-                site.parts.link.has_scanned(head.number);
                 site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
-                site.parts.link.answers(true);
-                // Only a gateway needs this, and it costs a few requests.
-                if site.gateway.is_serving() {
-                    site.parts.link.measure(&network.chain).await;
-                }
-                if head.number != seen {
-                    seen = head.number;
-                    site.parts.hub.changed(Part::Chain);
-                    site.parts.hub.confirmed.notify_one();
-                }
+                see(&site, &network, (head, begun), &mut seen).await;
                 site.lanes.tend(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| away(&error))
             }
@@ -127,6 +155,74 @@ async fn watch(site: Arc<Site>) {
     }
 }
 
+/// The head was requested at `begun` at the earliest. Those waiting for its block look next.
+async fn see(site: &Site, network: &Network, (head, begun): (BlockRef, Instant), seen: &mut u64) {
+    site.parts.link.saw_head(head, begun);
+    site.parts.link.has_scanned(head.number);
+    site.parts.link.answers(true);
+    // Only a gateway needs this, and it costs a few requests.
+    if site.gateway.is_serving() {
+        site.parts.link.measure(&network.chain).await;
+    }
+    if std::mem::replace(seen, head.number) != head.number {
+        site.parts.hub.changed(Part::Chain);
+        site.parts.hub.confirmed.notify_one();
+    }
+}
+
+/// Reads from the store what the holder of the lease reads from the chain.
+async fn follow_holder(site: Arc<Site>) {
+    let (mut follower, mut seen, mut known) = (watcher::Follower::default(), 0, None::<Arc<Directory>>);
+    let mut pause = Duration::ZERO;
+    while site.parts.life.rest(pause).await {
+        pause = BETWEEN_ROUNDS;
+        let Some(network) = site.parts.link.network_now() else { continue };
+        if !known.as_ref().is_some_and(|known| Arc::ptr_eq(known, &network.directory)) {
+            (follower, known) = (watcher::Follower::default(), Some(Arc::clone(&network.directory)));
+        }
+        let begun = Instant::now();
+        match follower.round(&site.plant, &network).await {
+            Ok(Some(head)) => see(&site, &network, (head, begun), &mut seen).await,
+            // The holder reads it next.
+            Ok(None) => pause = BETWEEN_ROUNDS / 2,
+            Err(error) => {
+                site.parts.link.answers(false);
+                let text = format!("the chain's state is not known here, and reading is refused meanwhile: {error}");
+                site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &text);
+                pause = AWAY;
+            }
+        }
+    }
+}
+
+/// What other processes changed in the store and this one keeps in memory.
+async fn look_at_others(site: Arc<Site>) {
+    let mut head = 0;
+    while site.parts.life.rest(BETWEEN_LOOKS_AT_OTHERS).await {
+        let looked = block_in_place(|| {
+            site.admissions.open()?;
+            let ledger = &site.plant.ledger;
+            if ledger.lease.held().is_some() {
+                ledger.feed.number_waiting()?;
+            }
+            Ok::<_, Failure>((ledger.feed.head()?, network_pin(&ledger.rights)?.is_some()))
+        });
+        match looked {
+            Ok((newest, is_bound)) => {
+                if std::mem::replace(&mut head, newest) != newest {
+                    site.parts.hub.feed_changed();
+                }
+                if is_bound && matches!(*site.parts.link.state(), NetworkState::Bare(_)) {
+                    site.parts.link.set(NetworkState::Connecting);
+                }
+            }
+            Err(failure) => {
+                site.parts.hub.warn(&format!("what other workers changed is not seen here: {}", failure.message));
+            }
+        }
+    }
+}
+
 fn away(error: &dyn std::fmt::Display) -> String {
     format!("the chain does not answer; anchoring is paused, records are safe: {error}")
 }
@@ -138,6 +234,7 @@ async fn verify(site: Arc<Site>) {
             () = tokio::time::sleep(Duration::from_secs(1)) => {}
         }
         while let Some(network) = site.parts.link.network_now() {
+            // If it is still at work when the lease is lost, the states it expects keep it from harm.
             let plant = site.plant.clone();
             let round = tokio::task::spawn_blocking(move || verifier::verify_round(&plant, &network)).await;
             match round {
@@ -159,32 +256,6 @@ async fn verify(site: Arc<Site>) {
 fn pass_on(error: tokio::task::JoinError) {
     if let Ok(panic) = error.try_into_panic() {
         std::panic::resume_unwind(panic);
-    }
-}
-
-impl Site {
-    pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
-        self.keep_for(owner, "anchorer", self, anchor);
-        if self.parts.config.lanes > 1 {
-            self.keep_for(owner, "lanes", &self.lanes, Lanes::keep_extra);
-        }
-        self.keep_for(owner, "courier", &self.devices, Devices::keep_attending);
-        if self.joined.remote.is_some() {
-            self.keep_for(owner, "mirror", &self.joined, Joined::mirror);
-        }
-    }
-
-    /// Keeps work for an owner running until the owner is closed or the site ends.
-    fn keep_for<Whose, Work, Run>(&self, owner: &Arc<Owner>, name: &str, part: &Arc<Whose>, work: Work)
-    where
-        Whose: Send + Sync + 'static,
-        Work: Fn(Arc<Whose>, Arc<Owner>) -> Run + Send + 'static,
-        Run: Future<Output = ()> + Send + 'static,
-    {
-        let name = format!("{name} {}", owner.profile);
-        let (owners, owner, given) = (Arc::clone(&self.parts.owners), Arc::clone(owner), Arc::clone(owner));
-        let is_wanted = move |_: &Arc<Whose>| owners.is_open(&owner);
-        self.parts.supervisor.keep_while(&name, part, is_wanted, move |part| work(part, Arc::clone(&given)));
     }
 }
 

@@ -61,7 +61,7 @@ impl Records {
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
         check(By::Worker, from, to)?;
         let sql = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2";
-        self.0.run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
+        self.0.held().run_each(sql, digests.iter().map(|digest| (digest.0, from.code(), to.code())).collect())
     }
 }
 

@@ -2,7 +2,6 @@
 //! received there. A copy needs the signature of the owner's account.
 
 use std::fmt;
-use std::sync::atomic::Ordering;
 
 use serde::{Deserialize, Serialize};
 
@@ -132,11 +131,13 @@ impl Erasures {
         (inclusion, anchor): (Inclusion, RootSighting),
     ) -> Result<ToldErased, StoreError> {
         self.0.takes_records()?;
-        let told = self.0.write(move |session| {
+        self.0.write(move |session| {
             let (digest, now) = (record.digest, whole("time", Timestamp::now().0)?);
             let before = found(session.connection, digest)?;
             add(session, &record, now)?;
             let connection = session.connection;
+            // Locked: whoever takes the block back waits, and then finds what rests on it.
+            connection.run("UPDATE trail SET hash = hash WHERE block = ?1", [whole("block", anchor.block)?])?;
             let told = match before {
                 None => list(connection, digest, &taken)?,
                 Some((_, true)) => restate(connection, digest, &taken)?,
@@ -151,14 +152,7 @@ impl Erasures {
             put(connection, digest, &stated)?;
             take_in(connection, digest, &inclusion, &anchor)?;
             Ok(told)
-        })?;
-        self.0.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
-        Ok(told)
-    }
-
-    /// Counts records named by owners elsewhere since opening, so that the eraser sees new work.
-    pub fn named_elsewhere(&self) -> u64 {
-        self.0.shared.told.load(Ordering::Acquire)
+        })
     }
 
     /// Records to delete by their owners' statements, except those an incident holds. Unverified ones wait:

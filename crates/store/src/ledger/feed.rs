@@ -40,7 +40,7 @@ pub struct FeedRow {
 /// As of one moment.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FeedPage {
-    /// Random for every process that numbers and every restore: places belong to it.
+    /// Random for every process that numbers, every lease and every restore: places belong to it.
     pub id: [u8; 16],
     /// The places are of another feed, or beyond its end: the page starts at the beginning.
     pub is_anew: bool,
@@ -52,6 +52,25 @@ pub struct FeedPage {
 }
 
 impl Feed {
+    pub fn head(&self) -> Result<u64, StoreError> {
+        self.0.one("SELECT head FROM about", [], |row| unsigned(row, 0))
+    }
+
+    /// Numbers what other processes left for the holder of the lease, which any of its changes does.
+    pub fn number_waiting(&self) -> Result<(), StoreError> {
+        match self.has_unnumbered()? {
+            true => self.0.held().write(|_| Ok(())),
+            false => Ok(()),
+        }
+    }
+
+    pub(super) fn has_unnumbered(&self) -> Result<bool, StoreError> {
+        self.0.read(|connection| match connection.server() {
+            Some(_) => Ok(connection.has("SELECT 1 FROM unnumbered LIMIT 1", [])?),
+            None => Ok(false),
+        })
+    }
+
     /// After places of the feed `id`.
     pub fn page(&self, id: &[u8; 16], filter: &FeedFilter, limit: usize) -> Result<FeedPage, StoreError> {
         self.0.read(|connection| page(connection, id, filter, limit))
@@ -70,8 +89,11 @@ pub(super) fn begin(connection: &Connection, after: i64) -> Result<(), StoreErro
     connection.run("DELETE FROM feeds WHERE key <= (SELECT max(key) FROM feeds) - ?1", [MOST_IDS])
 }
 
-/// Adds an owner's notice.
+/// Adds an owner's notice. On a server the holder of the lease numbers it.
 pub(super) fn note(connection: &Connection, record: i64, topic: i64) -> Result<(), StoreError> {
+    if connection.server().is_some() {
+        return connection.run("INSERT INTO unnumbered (record) VALUES (?1)", [record]);
+    }
     connection.run("UPDATE about SET head = head + 1", [])?;
     let sql = "INSERT INTO feed SELECT head, ?1, ?2, ?3 FROM about";
     connection.run(sql, params![record, topic, Fact::Stored.code()])

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::directory;
 use super::durability::{self, Durability};
 use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
-use super::{Counts, Losses, Records};
+use super::{Counts, LeaseState, Losses, Records};
 use crate::StoreError;
 use crate::database::{self, capped, whole};
 use crate::model::{
@@ -539,6 +539,11 @@ impl Glance {
 
     pub fn note<N: Note>(&self, note: &N) -> Result<Option<N::Value>, StoreError> {
         notes::read_in(&self.connection, note).map_err(|error| self.named(error))
+    }
+
+    /// `None` on a file.
+    pub fn lease(&self) -> Result<Option<LeaseState>, StoreError> {
+        super::lease::state(&self.connection, &[]).map_err(|error| self.named(error))
     }
 
     pub fn contract_pin(&self) -> Result<Option<String>, StoreError> {

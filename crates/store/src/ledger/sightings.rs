@@ -72,12 +72,13 @@ impl Batches {
     pub fn take_back(&self, from_block: u64) -> Result<(u64, u64), StoreError> {
         let block = whole("block", from_block)?;
         self.0.write(move |Session { connection, .. }| {
+            // In the same commit: no anchor from elsewhere may be in them until the chain is read again. First, so that what a
+            // worker rests on them meanwhile is seen.
+            connection.run("DELETE FROM trail WHERE block >= ?1", [block])?;
             let sql = "UPDATE transactions SET state = 0, block = NULL, block_hash = NULL, gas_used = NULL
                 WHERE state = 1 AND block >= ?1";
             connection.run(sql, [block])?;
             let batches = batches::take_back(connection, block)?;
-            // In the same commit: no anchor from elsewhere may be in them until the chain is read again.
-            connection.run("DELETE FROM trail WHERE block >= ?1", [block])?;
             connection.run("DELETE FROM passed_over WHERE block >= ?1", [block])?;
             let sql = "UPDATE records SET tx = NULL, block = NULL, block_hash = NULL WHERE state = ?1 AND block >= ?2";
             connection.run(sql, params![RecordState::Tampered.code(), block])?;

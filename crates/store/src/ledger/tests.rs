@@ -12,6 +12,7 @@ mod gaps;
 mod glance;
 mod groups;
 mod incidents;
+mod lease;
 mod model;
 mod numbered;
 mod opened;
@@ -116,7 +117,9 @@ fn open_in(home: &tempfile::TempDir, url: Option<String>) -> Ledger {
         Some(url) => Ledger::on_server(&url, None),
         None => Ledger::open(&home.path().join("ledger.db")),
     };
-    opened.expect("opens")
+    let ledger = opened.expect("opens");
+    ledger.lease.take();
+    ledger
 }
 
 fn state_of(ledger: &Ledger, record: &NewRecord) -> RecordState {

@@ -12,6 +12,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use super::append::KnownNames;
+use super::lease::Tenure;
 use super::readers::Place;
 use crate::StoreError;
 use crate::crypto::fault;
@@ -83,13 +84,18 @@ pub(super) struct Writer {
 
 impl Writer {
     /// `closed`: the file is marked as cleanly closed.
-    pub(super) fn start(connection: Connection, place: Arc<Place>, closed: bool) -> Result<Self, StoreError> {
+    pub(super) fn start(
+        connection: Connection,
+        place: Arc<Place>,
+        tenure: Arc<Tenure>,
+        closed: bool,
+    ) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
             .name("ledger".to_owned())
             .spawn({
                 let (mark, place) = (Mark::new(&connection, closed)?, Arc::clone(&place));
-                move || Door { commits: 0, connection, place, names: KnownNames::default(), mark }.serve(&inbox)
+                move || Door { commits: 0, connection, place, tenure, names: KnownNames::default(), mark }.serve(&inbox)
             })
             .map_err(|error| StoreError::home(place.path(), &error))?;
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
@@ -140,7 +146,7 @@ impl Drop for Writer {
     }
 }
 
-/// Marks the file as open at the first change, and renews the feed's id at its first number.
+/// Marks a file as open at the first change, and renews the feed's id at its first number. On a server a lease renews it.
 struct Mark {
     /// As the file says.
     closed: bool,
@@ -154,13 +160,17 @@ struct Mark {
 
 impl Mark {
     fn new(connection: &Connection, closed: bool) -> Result<Self, StoreError> {
-        let untouched = connection.total_changes();
-        Ok(Self { closed, is_told: false, has_feed: false, untouched, head: head(connection)? })
+        let (untouched, is_server) = (connection.total_changes(), connection.server().is_some());
+        let closed = closed || is_server;
+        Ok(Self { closed, is_told: is_server, has_feed: is_server, untouched, head: head(connection)? })
     }
 
     /// Inside a change's transaction: whether, from its commit on, the file is marked open and the feed has this
     /// process's id.
     fn open(&self, connection: &Connection) -> Result<(bool, bool), StoreError> {
+        if self.is_told && self.has_feed {
+            return Ok((true, true));
+        }
         let is_told = self.is_told || connection.total_changes() != self.untouched;
         if is_told && !self.is_told {
             connection.run("UPDATE about SET clean = 0", [])?;
@@ -173,7 +183,7 @@ impl Mark {
     }
 }
 
-fn head(connection: &Connection) -> Result<i64, StoreError> {
+pub(super) fn head(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.one("SELECT head FROM about", [], |row| row.get(0))?)
 }
 
@@ -185,6 +195,7 @@ struct Door {
     commits: u32,
     connection: Connection,
     place: Arc<Place>,
+    tenure: Arc<Tenure>,
     names: KnownNames,
     mark: Mark,
 }
@@ -208,7 +219,7 @@ impl Door {
             match last {
                 None => {}
                 Some(Message::Close(caller)) => {
-                    let _ = caller.send(finish(self.connection, &self.mark));
+                    let _ = caller.send(finish(self.connection, &self.mark, &self.tenure));
                     return;
                 }
                 Some(_) => return,
@@ -218,11 +229,20 @@ impl Door {
 
     /// If it fails, the next time does it.
     fn fold(&mut self) {
-        let Some(server) = self.connection.server().filter(|_| self.commits >= FOLD_AFTER) else { return };
+        let Ok(Some(fence)) = self.tenure.fence() else { return };
+        if self.commits < FOLD_AFTER {
+            return;
+        }
         self.commits = 0;
-        let folded = server.begin().and_then(|()| server.script("SELECT fold()")).and_then(|()| server.commit());
-        if folded.is_err() {
-            drop(server.undo());
+        let connection = &self.connection;
+        let fold = || {
+            connection.begin()?;
+            fence.check(connection)?;
+            connection.script("SELECT fold()")?;
+            Ok::<_, StoreError>(connection.commit()?)
+        };
+        if fold().is_err() {
+            drop(connection.undo());
         }
     }
 
@@ -329,7 +349,7 @@ impl Door {
     }
 
     fn end(&mut self) -> Result<(), StoreError> {
-        let opened = self.mark.open(&self.connection);
+        let opened = self.tenure.number_waiting(&self.connection).and_then(|()| self.mark.open(&self.connection));
         fault::point("commit-begun");
         let result = opened.and_then(|opened| Ok(self.connection.commit().map(|()| opened)?));
         fault::point("committed");
@@ -337,7 +357,7 @@ impl Door {
             self.connection.undo()?;
         }
         (self.mark.is_told, self.mark.has_feed) = result?;
-        self.mark.closed &= !self.mark.is_told;
+        self.mark.closed &= !self.mark.is_told || self.connection.server().is_some();
         self.commits = self.commits.saturating_add(1);
         Ok(())
     }
@@ -370,7 +390,9 @@ fn answer_all(done: &mut Vec<Box<dyn Job>>, result: &Result<(), StoreError>) {
     }
 }
 
-fn finish(connection: Connection, mark: &Mark) -> Result<(), StoreError> {
+fn finish(connection: Connection, mark: &Mark, tenure: &Tenure) -> Result<(), StoreError> {
+    // Else others wait until its time is over.
+    drop(tenure.release(&connection));
     if !mark.closed {
         connection.begin()?;
         connection.run("UPDATE about SET clean = 1", [])?;

@@ -391,6 +391,7 @@ fn gateway() -> GatewayStatusView {
             RefusedView { code: 4, text: Code::Tag.text().to_owned(), count: 1_204 },
             RefusedView { code: 15, text: Code::NotAuthorised.text().to_owned(), count: 3 },
         ],
+        lease: None,
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::app::{Feed, Screen, State};
 use crate::model::{Timestamp, clean, counted};
 use crate::screens::{grants::state::day, robots, robots::state::Member, robots::state::Standing};
-use crate::service::reply::{GatewayStatusView, RobotRow, RobotView, SenderView, SystemKeyView};
+use crate::service::reply::{GatewayStatusView, LeaseView, RobotRow, RobotView, SenderView, SystemKeyView};
 use crate::ui::{Canvas, Column, Fact, Rect, Role, Sheet, below, draw_facts, empty, row, rows, table, words};
 
 const MOST_REASONS: usize = 4;
@@ -85,8 +85,19 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) {
         let text = format!("version {}, not valid after {} UTC", view.list_version, day(expires));
         ("Key list", text, Role::Dim)
     }));
+    facts.extend(view.lease.as_ref().map(lease));
     facts.extend(refused(view));
     draw_facts(canvas, below(area, 1), &facts);
+}
+
+fn lease(lease: &LeaseView) -> Fact {
+    let workers = counted(lease.workers.len() as u64, "worker");
+    let (text, role) = match &lease.holder {
+        Some(holder) if holder.is_own => (format!("held here, {workers}"), Role::Good),
+        Some(holder) => (format!("held by {}, {workers}", clean(&holder.name, 120)), Role::Body),
+        None => (format!("held by nobody, so nothing is anchored, {workers}"), Role::Warning),
+    };
+    ("Lease", text, role)
 }
 
 fn system_key(key: &SystemKeyView) -> String {

@@ -51,15 +51,21 @@ impl Audit {
                 return;
             }
             self.parts.log.write_counted(Some(Timestamp::now())).await;
-            for owner in self.parts.owners.all() {
-                self.anchor_heads(&owner).await;
-            }
             if !self.reserve.is_held()
                 && refill.elapsed() >= REFILL
                 && self.parts.plant.ledger.records.takes_records().is_ok()
             {
                 refill = Instant::now();
                 drop(blocking(&self, |audit| Ok(audit.reserve.refill()?)).await);
+            }
+        }
+    }
+
+    /// States the heads of the log and of recorders for the chain.
+    pub async fn keep_heads(self: Arc<Self>) {
+        while self.parts.life.beat(LOOK).await {
+            for owner in self.parts.owners.all() {
+                self.anchor_heads(&owner).await;
             }
         }
     }

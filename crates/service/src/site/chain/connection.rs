@@ -102,9 +102,14 @@ impl Connection {
 
     pub async fn use_network(&self, chain: Chain, pin: &Pin) -> Result<(), Lost> {
         let network = Network::new(chain, pin, self.parts.plant.provider, self.parts.config.confirmations);
-        block_in_place(|| watcher::restore(&self.parts.plant, &network))?;
-        let head = watcher::watch_round(&self.parts.plant, &network).await?;
-        self.parts.link.has_scanned(head.number);
+        let plant = &self.parts.plant;
+        let head = if plant.ledger.lease.held().is_some() {
+            block_in_place(|| watcher::restore(plant, &network))?;
+            Some(watcher::watch_round(plant, &network).await?)
+        } else {
+            watcher::Follower::default().round(plant, &network).await?
+        };
+        head.into_iter().for_each(|head| self.parts.link.has_scanned(head.number));
         self.parts.link.set(NetworkState::Up(Box::new(network)));
         Ok(())
     }
@@ -120,6 +125,7 @@ impl Connection {
         let NetworkState::Bare(chain) = self.parts.link.settled().await? else {
             return self.parts.link.network().await;
         };
+        self.parts.plant.ledger.lease.require()?;
         let eoa = owner.eoa();
         if !anew {
             is_new_here(&chain, owner).await?;

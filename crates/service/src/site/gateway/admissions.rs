@@ -16,6 +16,7 @@ use crate::pipeline::Network;
 use crate::reply::{AdmittedView, Result};
 use crate::site::contacts::Contacts;
 use crate::site::parts::Parts;
+use crate::store::StoreError;
 use crate::store::notes::{AdmittedOwner, AdmittedOwners};
 
 const MOST: usize = 10_000;
@@ -41,9 +42,13 @@ impl Admissions {
         Ok(self.parts.plant.ledger.notes.read(&AdmittedOwners {})?.unwrap_or_default())
     }
 
-    fn write(&self, list: &Vec<AdmittedOwner>) -> Result<()> {
-        self.parts.plant.ledger.notes.write(&AdmittedOwners {}, list)?;
-        self.take_over(list);
+    /// Another process of the store may change it, too.
+    fn change(&self, change: impl FnOnce(&mut Vec<AdmittedOwner>)) -> Result<()> {
+        let changed = |list: &mut Vec<AdmittedOwner>| {
+            change(list);
+            Ok::<_, StoreError>(list.clone())
+        };
+        self.take_over(&self.parts.plant.ledger.notes.change(&AdmittedOwners {}, changed)?);
         self.parts.hub.changed(Part::Health);
         Ok(())
     }
@@ -71,7 +76,7 @@ impl Admissions {
         let owner = self.contacts.resolve(owner)?;
         {
             let _one_at_a_time = self.changing.lock().await;
-            let mut list = self.list()?;
+            let list = self.list()?;
             if !list.iter().any(|admitted| admitted.owner == owner) {
                 if list.len() >= MOST {
                     return Err(refused(format!(
@@ -79,8 +84,8 @@ impl Admissions {
                                                 gateway deny` first"
                     )));
                 }
-                list.push(AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() });
-                let admitted = async { self.write(&list) };
+                let row = AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() };
+                let admitted = async { self.change(|list| list.push(row)) };
                 self.parts.log.deed(profile, "gateway allow", &owner.to_string(), admitted).await?;
                 let text = format!("the gateway allows {owner} now");
                 self.parts.hub.notice_about(&subject(owner), NoticeLevel::Info, &text);
@@ -97,16 +102,14 @@ impl Admissions {
         }
         {
             let _one_at_a_time = self.changing.lock().await;
-            let mut list = self.list()?;
-            let before = list.len();
-            list.retain(|admitted| admitted.owner != owner);
-            if list.len() == before {
+            if !self.list()?.iter().any(|admitted| admitted.owner == owner) {
                 return Err(input(format!(
                     "{owner} is not on this gateway's allow list; `authros gateway allowed` \
                                           shows it"
                 )));
             }
-            self.parts.log.deed(profile, "gateway deny", &owner.to_string(), async { self.write(&list) }).await?;
+            let denied = async { self.change(|list| list.retain(|admitted| admitted.owner != owner)) };
+            self.parts.log.deed(profile, "gateway deny", &owner.to_string(), denied).await?;
         }
         self.rows()
     }

@@ -12,6 +12,7 @@ mod reading;
 pub(crate) mod workers;
 
 use crate::site::gateway::admissions::Admissions;
+use crate::site::leading;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
@@ -243,11 +244,12 @@ impl Gateway {
 
     pub fn status(&self) -> Result<GatewayStatusView> {
         let bound = self.bound_senders()?;
+        let lease = self.parts.plant.ledger.lease.state()?.map(leading::view);
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving();
         let Some(serving) = &*serving else {
             let senders = sender_rows(bound, Vec::new());
-            return Ok(GatewayStatusView { through, senders, ..GatewayStatusView::default() });
+            return Ok(GatewayStatusView { through, senders, lease, ..GatewayStatusView::default() });
         };
         let (list, now) = (serving.watch.system_keys(), Timestamp::now());
         let keys = list.keys.iter().map(|key| SystemKeyView {
@@ -270,6 +272,7 @@ impl Gateway {
             list_version: list.version,
             list_expires: Some(list.expires_at),
             refused,
+            lease,
         })
     }
 }

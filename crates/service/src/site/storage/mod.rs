@@ -10,7 +10,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 pub(crate) use self::server::other_gateway;
-pub(in crate::site) use self::server::{check_all_accounts, check_unused, open_on_server};
+pub(in crate::site) use self::server::{check_all_accounts, check_unused, may_hold, open_on_server};
 use super::parts::Parts;
 use super::reading::Reading;
 use crate::event::{NoticeLevel, Part};
@@ -44,8 +44,8 @@ pub(in crate::site) struct Storage {
     naming: tokio::sync::Mutex<()>,
     /// Named ciphertext may be left to delete.
     has_named: AtomicBool,
-    /// Erasures named by owners elsewhere, and how many of those incidents hold, as of the last look.
-    seen: (AtomicU64, AtomicU64),
+    /// Records that owners elsewhere erased and incidents hold, as of the last look.
+    held: AtomicU64,
 }
 
 impl Storage {
@@ -56,7 +56,7 @@ impl Storage {
             reading: Arc::clone(reading),
             naming: tokio::sync::Mutex::default(),
             has_named: AtomicBool::new(true),
-            seen: (AtomicU64::new(0), AtomicU64::new(0)),
+            held: AtomicU64::new(0),
         }
     }
 

@@ -33,6 +33,9 @@ impl Storage {
         let keeping = self.parts.config.keeping();
         let (mut rules, mut looks) = (Retention::new(keeping.clone()), 0u32);
         while self.parts.life.beat(LOOK).await {
+            if let Err(failure) = self.look_for_named() {
+                self.parts.hub.warn(&failure.message);
+            }
             let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
             looks = looks.wrapping_add(1);
             for owner in self.parts.owners.all() {
@@ -53,9 +56,6 @@ impl Storage {
                     failure.message
                 ));
             }
-            if let Err(failure) = self.look_for_named().await {
-                self.parts.hub.warn(&failure.message);
-            }
         }
     }
 
@@ -72,17 +72,13 @@ impl Storage {
 
     /// Erasures by owners whose homes join this gateway, whichever profile is open here.
     async fn sweep_told(&self) -> Result<()> {
-        let named = self.parts.plant.ledger.erasures.named_elsewhere();
-        if self.seen.0.swap(named, Ordering::AcqRel) != named {
-            self.has_named.store(true, Ordering::Release);
-        }
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
         }
         let _one_at_a_time = self.naming.lock().await;
         block_in_place(|| retention::delete_told(&self.parts.plant))?;
         let held = self.parts.plant.ledger.erasures.held_although_erased()?;
-        if self.seen.1.swap(held, Ordering::AcqRel) < held {
+        if self.held.swap(held, Ordering::AcqRel) < held {
             let text = format!(
                 "erased elsewhere by the owner, but held here by an incident: {}; `authros incident remove NAME --yes` releases \
                  what it holds",
@@ -93,12 +89,10 @@ impl Storage {
         Ok(())
     }
 
-    async fn look_for_named(&self) -> Result<()> {
-        if self.has_named.load(Ordering::Acquire) {
-            let _one_at_a_time = self.naming.lock().await;
-            let left = self.parts.plant.ledger.erasures.has_named()?;
-            self.has_named.store(left, Ordering::Release);
-        }
+    /// Another process of the store may have named some.
+    fn look_for_named(&self) -> Result<()> {
+        let named = block_in_place(|| self.parts.plant.ledger.erasures.has_named())?;
+        self.has_named.store(named, Ordering::Release);
         Ok(())
     }
 

@@ -46,6 +46,11 @@ fn check_gateway(ledger: &Ledger, home: &Home) -> Result<()> {
     }
 }
 
+/// A home without keys may open another gateway's store, to restore them, but does no work there.
+pub(in crate::site) fn may_hold(ledger: &Ledger, home: &Home) -> Result<bool> {
+    Ok(!ledger.lease.is_shared() || other_gateway(&known(ledger)?, ledger.path(), home).is_none())
+}
+
 /// Refuses a new profile where the store is another gateway's.
 pub(in crate::site) fn check_unused(parts: &Parts) -> Result<()> {
     let ledger = &parts.plant.ledger;

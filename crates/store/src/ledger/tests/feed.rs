@@ -12,7 +12,7 @@ use crate::snapshot::{Snapshot, renew_ledger};
 const OWNER: Address = Address([1; 20]);
 const RECORDS: u64 = 12;
 
-fn places(after: u64) -> FeedFilter {
+pub(super) fn places(after: u64) -> FeedFilter {
     FeedFilter { places: vec![FeedPlace { owner: OWNER, after, topics: None }], ..FeedFilter::default() }
 }
 

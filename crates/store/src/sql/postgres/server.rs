@@ -33,6 +33,10 @@ const SESSION: &str = "SET statement_timeout = 0; SET idle_in_transaction_sessio
     SET client_min_messages = warning; SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5;
     SET tcp_keepalives_count = 2; SET tcp_user_timeout = 20000";
 
+/// Of a writer between two statements of a transaction: one that was stopped must not keep its locks, the lease's among them.
+/// Nothing ends a commit by it.
+const LONGEST_PAUSE: &str = "SET idle_in_transaction_session_timeout = '4s'";
+
 /// What a transaction has changed so far; `settle` adds it to the counts and empties them. ON COMMIT DELETE ROWS would lock
 /// them, and each such lock is in the server's log. The server makes and drops them in commits of their own. If those waited
 /// for a standby, a primary without one could never shut down.
@@ -170,6 +174,7 @@ impl Server {
     fn begun(&self) -> std::result::Result<Client, StoreError> {
         let client = self.connect()?;
         self.check_clock(&client)?;
+        client.script(LONGEST_PAUSE)?;
         client.script(PENDING)?;
         client.begin()?;
         client.script(ALONE)?;
