@@ -52,9 +52,9 @@ pub use chain::connection::is_bound;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub use evidence::definition_of;
-pub(crate) use gateway::workers::{join_key, opened as opened_system_keys};
 #[cfg(test)]
 pub(crate) use gateway::workers::sealed as sealed_system_keys;
+pub(crate) use gateway::workers::{join_key, opened as opened_system_keys};
 pub(crate) use identity::keyring_faults;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
