@@ -14,7 +14,9 @@ use crate::crypto::private_file::create_private;
 use crate::crypto::{CryptoError, Passphrase};
 use crate::model::{clean, counted};
 use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, MakeJoinFile, Register, ServeGateway};
-use crate::service::reply::{AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView, LeaseView, WorkerView};
+use crate::service::reply::{
+    AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView, LeaseView, WorkerView,
+};
 use crate::service::{Client, Failure, Needs, SecretText, joining};
 use authros_output::{Output, table};
 

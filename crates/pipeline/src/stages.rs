@@ -136,6 +136,10 @@ impl Stages {
         Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
     }
 
+    pub fn count_of(&self, milestone: Milestone) -> u64 {
+        self.reached[milestone as usize].iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
+    }
+
     /// How many messages reached a milestone within each of these powers of two, microseconds; the total number; and
     /// the total of their seconds, at most 1/16 too high.
     pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
@@ -159,6 +163,19 @@ impl Stages {
             (end_of(place * QUARTER + QUARTER - 1), count)
         });
         counted.filter(|(_, count)| *count > 0).collect()
+    }
+
+    /// The time within which `percent` of a hundred messages reached a milestone; `None` if none did.
+    pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
+        let all = self.count_of(milestone);
+        let rank = (all * percent).div_ceil(100).max(1);
+        let mut seen = 0;
+        let buckets = &self.reached[milestone as usize];
+        let found = buckets.iter().position(|bucket| {
+            seen += bucket.load(Ordering::Relaxed);
+            seen >= rank
+        });
+        found.filter(|_| all > 0).map(|index| Duration::from_micros(end_of(index)))
     }
 }
 
@@ -213,6 +230,9 @@ mod tests {
         assert!((40..=41).contains(&within[0]) && (82..=83).contains(&within[1]), "{within:?}");
         assert!((505.0..590.0).contains(&seconds), "{seconds}");
         assert_eq!(stages.within_powers(Milestone::Verified, &[22]).1, 0);
+        let median = stages.within(Milestone::Durable, 50).expect("a median").as_millis();
+        assert!((5_000..5_900).contains(&median), "{median}");
+        assert_eq!(stages.within(Milestone::Verified, 50), None);
     }
 
     #[test]

@@ -84,7 +84,8 @@ impl Place {
     fn turned(&self, number: u16) -> Self {
         let mut turned = self.clone();
         let addresses = &mut turned.endpoint.addresses;
-        addresses.rotate_left(usize::from(number) % addresses.len());
+        let count = addresses.len();
+        addresses.rotate_left(usize::from(number) % count);
         turned
     }
 

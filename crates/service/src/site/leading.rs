@@ -76,8 +76,8 @@ impl Term {
         let work = move |part| {
             let (run, token) = (work(part), Arc::clone(&token));
             async move {
-                let _until_it_ends = token;
                 run.await;
+                drop(token);
             }
         };
         self.tasks.retain(|task| !task.is_finished());
