@@ -217,7 +217,7 @@ impl Lease {
     #[cfg(test)]
     pub(crate) fn take(&self) {
         if self.is_shared() {
-            self.0.run("UPDATE lease SET until = 0", []).expect("free");
+            self.0.write(|session| session.connection.run("UPDATE lease SET until = 0", [])).expect("free");
             self.beat("test", Claim::Take).expect("taken");
             self.lasts();
         }

@@ -25,7 +25,7 @@ fn beat(ledger: &Ledger, name: &str, claim: Claim) {
 
 /// By the database's clock.
 fn expire(ledger: &Ledger) {
-    ledger.database.run("UPDATE lease SET until = now_ms() - 1", []).expect("over");
+    ledger.database.write(|session| session.connection.run("UPDATE lease SET until = now_ms() - 1", [])).expect("over");
 }
 
 fn walk(ledger: &Ledger, block: u64) -> Result<(), StoreError> {
@@ -102,7 +102,7 @@ fn a_holder_does_not_go_on_in_a_database_that_was_restored() {
     let before = feed();
     beat(&first, "first", Claim::Renew);
     assert_eq!((first.lease.held(), feed()), (Some(1), before));
-    first.database.run("UPDATE lease SET until = until - 1", []).expect("restored");
+    first.database.write(|session| session.connection.run("UPDATE lease SET until = until - 1", [])).expect("restored");
     beat(&first, "first", Claim::Renew);
     assert_eq!(first.lease.held(), None);
     beat(&first, "first", Claim::Take);
@@ -120,7 +120,7 @@ fn a_holder_that_stops_in_the_middle_of_a_write_does_not_keep_the_lease() {
         let stopped = scope.spawn(move || {
             database.write(move |session| {
                 session.connection.run("INSERT INTO cursor VALUES (1, 9, ?1)", [[1_u8; 32]])?;
-                drop(begun.send(()));
+                let _ = begun.send(());
                 thread::sleep(Duration::from_secs(8));
                 Ok(())
             })
@@ -151,8 +151,8 @@ fn the_holder_numbers_what_others_leave_and_each_lease_begins_the_feed_anew() {
     let next = page(&begun.id, 1);
     assert_ne!(next.id, begun.id);
     assert!(!next.is_anew && next.rows.is_empty(), "places of the former lease stand: {next:?}");
-    other.database.run("UPDATE records SET state = 6", []).expect("verified");
-    first.database.run("UPDATE records SET deleted_at = 9", []).expect("erased");
+    other.database.write(|session| session.connection.run("UPDATE records SET state = 6", [])).expect("verified");
+    first.database.write(|session| session.connection.run("UPDATE records SET deleted_at = 9", [])).expect("erased");
     assert_eq!(rows(&page(&begun.id, 1)), [(2, Fact::Verified)], "who is not the holder numbers nothing");
     walk(&other, 8).expect("written");
     assert_eq!(rows(&page(&begun.id, 1)), [(3, Fact::Erased)]);
