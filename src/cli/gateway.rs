@@ -122,9 +122,10 @@ async fn join_file(context: &Context, out: &Path, renew: bool, random: bool, out
     if random && passphrase::is_passed(&context.global) {
         return Err(usage("--random makes a passphrase; omit it, or the option that passes one"));
     }
-    let secret = match random {
-        true => SecretText::new(Passphrase::random()?.expose().to_owned()),
-        false => passphrase::of_its_own(&context.global, JOIN_FILE, true)?,
+    let secret = if random {
+        SecretText::new(Passphrase::random()?.expose().to_owned())
+    } else {
+        passphrase::of_its_own(&context.global, JOIN_FILE, true)?
     };
     let ask = MakeJoinFile { passphrase: secret.clone(), renew };
     let make = async |client: &Client| client.ask(ask).await;

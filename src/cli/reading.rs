@@ -63,7 +63,7 @@ fn makes_a_home(verb: &Verb) -> bool {
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
         Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
         Verb::Robot(verb) => matches!(verb, RobotVerb::Run(_)),
-        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Allow { .. }),
+        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Allow { .. } | GatewayVerb::Join { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
         Verb::Evidence(verb) => matches!(verb, EvidenceVerb::Verify(_)),
         Verb::Backup(verb) => matches!(verb, BackupVerb::Check { .. } | BackupVerb::Restore { .. }),

@@ -13,7 +13,7 @@ const PAGES: [(&str, &[&str]); 9] = [
     ("figure-16-sm4", &["Encryption, 1 KB", "Decryption, 8 KB", "frequency, %"]),
     ("figure-17-sm3", &["SM3 of 800 KB, authros", "frequency, %", "paper"]),
     ("sm2", &["SM2 on 32 bytes", "verify"]),
-    ("record", &["SM4-GCM", "fields"]),
+    ("record", &["SM4-GCM", "rest"]),
     ("gas", &["batch of 256", "prototype, 8 KB", "gas per record"]),
     ("gateway", &["records a second", "bound"]),
     ("pipeline", &["messages: time from capture", "pictures: busy stages"]),
