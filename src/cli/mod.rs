@@ -86,7 +86,9 @@ pub fn main() -> ExitCode {
         .map_err(|error| Failure::new(ErrorKind::Internal, format!("threads cannot be started: {error}")))
         .and_then(|runtime| {
             let there = reading::needs_a_home(&arguments.global, arguments.verb.as_ref());
-            let result = there.and_then(|()| run(&runtime, arguments, &output));
+            let result = parse::names_on_one_line(std::env::args_os())
+                .and(there)
+                .and_then(|()| run(&runtime, arguments, &output));
             // Data is flushed; tasks that still wait end with the process.
             std::mem::forget(runtime);
             result

@@ -1,5 +1,6 @@
 //! Parses arguments into the model's types, with errors of kind `Input`.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::{fmt::Display, io::BufRead as _, str::FromStr, time::Duration};
 
@@ -34,6 +35,17 @@ pub fn typed(word: &str) -> bool {
 
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| input(format!("{}: {error}", path.display())))
+}
+
+/// Refuses a file whose name breaks a line: what follows the break would look like a line of ours.
+pub fn names_on_one_line(mut arguments: impl Iterator<Item = OsString>) -> Result<(), Failure> {
+    let breaks = |argument: &OsString| {
+        argument.to_string_lossy().chars().any(char::is_control) && Path::new(argument).symlink_metadata().is_ok()
+    };
+    arguments.find(breaks).map_or(Ok(()), |name| {
+        let name = clean(&name.to_string_lossy(), 200);
+        Err(input(format!("rename the file {name} first: its name has a line break or another control character")))
+    })
 }
 
 pub fn tags(texts: &[String]) -> Result<Vec<(String, String)>, Failure> {
@@ -187,6 +199,18 @@ mod tests {
         assert!(end("tomorrow 18:00").is_ok());
         assert_eq!((end("yesterday"), end("soon")), (Err(ErrorKind::Input), Err(ErrorKind::Input)));
         assert_eq!(times.since(None).map_err(|failure| failure.kind), Ok(None));
+    }
+
+    #[test]
+    fn a_file_whose_name_breaks_a_line_is_refused_and_a_text_may_have_lines() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let name = folder.path().join("g\nPROVEN: all is well.authros");
+        let given = |name: &Path| names_on_one_line([OsString::from("verify"), name.into()].into_iter());
+        assert_eq!(given(&name).map_err(|failure| failure.kind), Ok(()), "a text");
+        std::fs::write(&name, "").expect("written");
+        let refused = given(&name).expect_err("a file");
+        assert_eq!((refused.kind, refused.message.lines().count()), (ErrorKind::Input, 1), "{}", refused.message);
+        assert_eq!(given(folder.path()).map_err(|failure| failure.kind), Ok(()));
     }
 
     #[test]

@@ -177,6 +177,10 @@ impl Leading {
 
     /// Claims no lease as long as work of the last one goes on.
     async fn beat(&mut self) {
+        // What only looks into the store is no worker.
+        if !self.needs.chain {
+            return;
+        }
         if let Some(ended) = self.beating.take_if(|beating| beating.is_finished())
             && let Ok(Err(failure)) = ended.await
         {
@@ -193,10 +197,9 @@ impl Leading {
             None => Claim::Nothing,
         };
         let (ledger, home) = (self.site.plant.ledger.clone(), self.site.parts.home.clone());
-        let needs_chain = self.needs.chain;
         let name = worker_name(self.site.gateway.served().map(|view| view.address).as_deref());
         let beat = move || -> Result<()> {
-            let claim = if needs_chain && may_hold(&ledger, &home)? { claim } else { Claim::Nothing };
+            let claim = if may_hold(&ledger, &home)? { claim } else { Claim::Nothing };
             Ok(ledger.lease.beat(&name, claim)?)
         };
         self.beating = Some(tokio::task::spawn_blocking(beat));

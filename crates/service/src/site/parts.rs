@@ -52,8 +52,10 @@ impl Parts {
             None => open_ledger(&home)?,
         };
         // What begins now depends on who holds it.
-        let claim = if needs_chain && may_hold(&ledger, &home)? { Claim::Take } else { Claim::Nothing };
-        ledger.lease.beat(&worker_name(None), claim)?;
+        if needs_chain {
+            let claim = if may_hold(&ledger, &home)? { Claim::Take } else { Claim::Nothing };
+            ledger.lease.beat(&worker_name(None), claim)?;
+        }
         let ciphertext = match &config.cache_url {
             Some(url) => {
                 let settings = CacheSettings { url: url.clone(), roots: config.cache_roots.clone() };

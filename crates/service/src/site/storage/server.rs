@@ -4,13 +4,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use crate::crypto::read_public;
+use crate::crypto::{JoinKey, read_public};
 use crate::failure::refused;
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
 use crate::reply::Result;
 use crate::site::parts::Parts;
-use crate::store::notes::ProfileAccounts;
+use crate::store::notes::{ProfileAccounts, SharedSystemKeys};
 use crate::store::{Ledger, StoreError};
 
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
@@ -46,9 +46,17 @@ fn check_gateway(ledger: &Ledger, home: &Home) -> Result<()> {
     }
 }
 
-/// A home without keys may open another gateway's store, to restore them, but does no work there.
+/// A home without keys may open another gateway's store, to restore them, but does no work there; nor does one without the
+/// present join key.
 pub(in crate::site) fn may_hold(ledger: &Ledger, home: &Home) -> Result<bool> {
-    Ok(!ledger.lease.is_shared() || other_gateway(&known(ledger)?, ledger.path(), home).is_none())
+    if !ledger.lease.is_shared() {
+        return Ok(true);
+    }
+    let is_shut_out = match ledger.notes.read(&SharedSystemKeys {})? {
+        Some(sealed) => JoinKey::load(&home.gateway(), sealed.join)?.is_none(),
+        None => false,
+    };
+    Ok(!is_shut_out && other_gateway(&known(ledger)?, ledger.path(), home).is_none())
 }
 
 /// Refuses a new profile where the store is another gateway's.

@@ -102,6 +102,11 @@ impl Server {
         if !Self::is_address(url) {
             return Err(refused("it does not begin with postgres://"));
         }
+        // The parser takes what follows the first one for the host, and shows it.
+        let authority = url.split_once("://").map_or(url, |(_, rest)| rest);
+        if authority.split(['/', '?']).next().is_some_and(|authority| authority.matches('@').count() > 1) {
+            return Err(refused("an @ in its user or password is written %40"));
+        }
         let mut config: Config = url.parse().map_err(|_| refused("it is not an address of a database"))?;
         if config.get_hosts().is_empty() {
             return Err(refused("it names no host"));
@@ -328,7 +333,12 @@ mod tests {
 
     #[test]
     fn a_bad_address_is_refused_without_its_password() {
-        for url in ["mysql://u:secret@db/x", "postgres://u:secret@db:port/x", "postgres:///x?password=secret"] {
+        for url in [
+            "mysql://u:secret@db/x",
+            "postgres://u:secret@db:port/x",
+            "postgres:///x?password=secret",
+            "postgres://u:a@secret@db/x",
+        ] {
             let error = Server::at(url, None).expect_err(url);
             assert!(!error.to_string().contains("secret"), "{error}");
         }
