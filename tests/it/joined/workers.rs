@@ -51,6 +51,16 @@ fn of_three_workers_one_is_killed_and_one_stopped_and_each_record_is_held_once()
     let seen = lease(&workers[1]);
     assert_eq!((support::list(&seen, "workers").len(), &seen["holder"]["is_own"]), (3, &Value::Bool(false)), "{seen}");
 
+    // A worker that follows refuses until it knows a block that the holder has read.
+    let home = Home::new();
+    let carol = home
+        .profile("carol")
+        .with_variable("AUTHROS_SITE", &workers[2].address())
+        .with_variable("AUTHROS_GATEWAY_KEY", &workers[2].key);
+    wait_until(30, "a worker that follows knows the chain", || {
+        (carol.run(&["identity", "register"]).code == Some(0)).then_some(())
+    });
+
     // An owner who is allowed at one worker is known to the others.
     let (alice, bob) = (Member::new("alice", &workers[2]), Member::new("bob", &workers[2]));
     alice.grant(&bob);

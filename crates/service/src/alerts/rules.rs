@@ -97,7 +97,7 @@ impl Judge {
         let text = "The chain is unreachable or a transaction lane is stuck: anchoring is paused, records are \
                      safe. See `authros status`.";
         judged.extend(part(figures, "chain", text));
-        let text = "The store does not accept records; captured messages wait in memory. See `authros status`.";
+        let text = "The store accepts no records, or may lose what it accepts. See `authros status`.";
         judged.extend(part(figures, "store", text));
         judged.push(stages(figures));
         judged
