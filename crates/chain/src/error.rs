@@ -29,8 +29,8 @@ pub enum ChainError {
     )]
     Swapped { url: String, what: &'static str, pinned: String, found: String },
     #[error(
-        "give --chain or --site if this home uses another chain than its own, restore the chain's file, or {SEAL_ANEW}: there \
-         is no embedded chain {}; anchoring is paused, records are safe",
+        "give --chain or --site if this home uses another chain than its own, restore the chain's file, or {SEAL_ANEW}: \
+         the embedded chain {} is gone, or never was; anchoring is paused, records are safe",
         path.display()
     )]
     Gone { path: PathBuf },
