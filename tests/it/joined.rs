@@ -145,6 +145,13 @@ impl Member {
         member
     }
 
+    /// That many records are verified here, and the reader's list has the same, each once.
+    fn shares_all_with(&self, reader: &Self, count: u64) {
+        let own = self.verified(&["records", "list", "--oldest"], count);
+        let shared = reader.verified(&["received", "list", "--oldest", "--owner", &self.address], count);
+        assert_eq!(shared, own, "each once in the reader's list");
+    }
+
     fn grant(&self, reader: &Self) {
         let print = text(&reader.authros.json(&["identity", "show"]), "fingerprint");
         let name = format!("reader-{}", reader.address[2..10].to_lowercase());

@@ -99,11 +99,5 @@ fn each_record_is_held_once(ground: &Ground) {
     );
     assert!(killed > 0 && !brought.outages.is_empty(), "somebody had to wait for it");
     all_is_held(&swarm, &brought.acknowledged);
-    let wanted = brought.acknowledged.len() as u64;
-    let own = alice.verified(&["records", "list", "--oldest"], wanted);
-    assert_eq!(
-        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], wanted),
-        own,
-        "each once in every reader's list"
-    );
+    alice.shares_all_with(&bob, brought.acknowledged.len() as u64);
 }

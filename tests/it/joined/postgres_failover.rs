@@ -112,13 +112,7 @@ fn a_database_fails_over_again_and_again_and_each_record_is_held_once() {
     swarm.holds(60, &brought.acknowledged);
     let held = swarm.listed(120, "all of them are verified", |list| list.is_superset(&brought.acknowledged));
     assert_eq!(held, brought.acknowledged, "0 lost, and nothing that nobody brought");
-    let wanted = brought.acknowledged.len() as u64;
-    let own = alice.verified(&["records", "list", "--oldest"], wanted);
-    assert_eq!(
-        bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], wanted),
-        own,
-        "each once in the reader's list"
-    );
+    alice.shares_all_with(&bob, brought.acknowledged.len() as u64);
     assert_eq!(cluster.sql(RECORDER), own_recorder, "a standby that has what was acknowledged is no restored database");
     gateway.site.as_mut().expect("running").expect_running();
 }

@@ -96,9 +96,7 @@ fn of_three_workers_one_is_killed_and_one_stopped_and_each_record_is_held_once()
     let (late, longest) = (brought.outages.len(), brought.outages.last());
     println!("{} records acknowledged, {late} of them late, max {longest:?}", brought.acknowledged.len());
     each_is_there_once(&server, &swarm, &brought.acknowledged);
-    let wanted = brought.acknowledged.len() as u64;
-    let own = alice.verified(&["records", "list", "--oldest"], wanted);
-    assert_eq!(bob.verified(&["received", "list", "--oldest", "--owner", &alice.address], wanted), own);
+    alice.shares_all_with(&bob, brought.acknowledged.len() as u64);
     let audit = workers[last].keeper().json(&["audit", "--deep"]);
     assert_eq!((&audit["ok"], count(&audit, "missing")), (&Value::Bool(true), 0), "{audit}");
     let anchors = server.sql("fleet", "SELECT count(*), count(DISTINCT root) FROM batches WHERE block IS NOT NULL");

@@ -84,7 +84,7 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     assert!(matches!(opened, Err(PipelineError::Erased { .. })), "{opened:?}");
     assert_eq!(ledger.retention.given_up(owner), Ok(1));
 
-    // Whoever alters the ledger makes no erasure of a hole: the statement is checked each time.
+    // An altered ledger makes no erasure of a hole: the statement is checked each time.
     let thief = SmKeyPair::generate(line.plant.provider).expect("a pair");
     let forged = stated(&line, &thief, &digest, header_of(&sealed)).encode();
     let forged = StatedErasure { digest, statement: forged, account: None };

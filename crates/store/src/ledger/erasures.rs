@@ -136,7 +136,7 @@ impl Erasures {
             let before = found(session.connection, digest)?;
             add(session, &record, now)?;
             let connection = session.connection;
-            // Locked: whoever takes the block back waits, and then finds what rests on it.
+            // Locked: a transaction that takes the block back waits, and then finds what rests on it.
             connection.run("UPDATE trail SET hash = hash WHERE block = ?1", [whole("block", anchor.block)?])?;
             let told = match before {
                 None => list(connection, digest, &taken)?,

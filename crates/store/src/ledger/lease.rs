@@ -213,7 +213,7 @@ impl Lease {
         self.0.read(|connection| state(connection, &self.0.shared.tenure.worker))
     }
 
-    /// From whoever has it: the test's processes are one.
+    /// Even if another has it: the test's processes are one.
     #[cfg(test)]
     pub(crate) fn take(&self) {
         if self.is_shared() {

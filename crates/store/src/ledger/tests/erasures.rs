@@ -137,7 +137,7 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     let retained = ledger.retention.find(copy.digest).expect("read").expect("accounted for");
     assert_eq!((retained.stated, retained.report), (Some(statement(8, 2)), Digest([8; 32])));
     assert_eq!(ledger.retention.given_up(OWNER), Ok(2), "counted once");
-    // Whoever puts another statement in its place makes nothing of this home's own of it.
+    // Another statement in its place does not become this home's own.
     let other = StatedErasure { digest: copy.digest, statement: statement(8, 3), account: None };
     ledger.erasures.keep(vec![other]).expect("kept");
     let kept = ledger.erasures.kept(copy.digest).expect("read").expect("kept");
