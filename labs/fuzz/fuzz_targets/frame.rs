@@ -1,6 +1,0 @@
-//! See `authros_fuzz::frame`.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    authros_fuzz::frame::run(data);
-});

@@ -1,6 +1,0 @@
-//! See `authros_fuzz::proof`.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    authros_fuzz::proof::run(data);
-});
