@@ -274,7 +274,7 @@ pub struct Global {
     /// Also capture ROS 2 in this domain [without a number: $ROS_DOMAIN_ID, else 0]
     #[arg(long, global = true, value_name = "DOMAIN", num_args = 0..=1, require_equals = false, default_missing_value = "")]
     pub ros2: Option<String>,
-    /// Node of a real chain: http://, https://, ws://, wss:// or IPC path
+    /// Node of a real chain: http://, https:// or IPC path
     #[arg(long, global = true, value_name = "URL")]
     pub chain: Option<String>,
     /// Address of the `AuthROS` contract on that chain

@@ -122,7 +122,8 @@ pub fn head(topic: String, type_name: &str, body: &[u8]) -> Head {
 pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
     let gateway = &enrolment.gateway;
     let context = Context { provider: provider(ProviderName::RustCrypto), domain: enrolment.domain };
-    let endpoint = Endpoint { addresses: gateway.addresses.clone(), context, patience: Duration::from_secs(10) };
+    let (addresses, patience) = (gateway.addresses.clone(), Duration::from_secs(10));
+    let endpoint = Endpoint { addresses, context, patience, source: None };
     let mut trust = Trust::pinned(gateway.fingerprint);
     let (name, key) = (enrolment.name.clone(), gateway.transport.clone());
     Client::connect(&endpoint, &mut trust, &Credentials { name, key, token: enrolment.token }).await

@@ -127,22 +127,15 @@ async fn take_the_robots_only_copy() {
     let provider = provider(ProviderName::RustCrypto);
     let directory = tempfile::tempdir().expect("a directory");
     let identity = SmKeyPair { secret: keeper.keyring.signing.secret.clone(), public: keeper.keyring.signing.public };
-    let cabinet = Cabinet::open(
-        &directory.path().join("gateway"),
-        provider,
-        stolen.domain,
-        identity,
-        Schedule::default(),
-        Timestamp::now(),
-    );
+    let (context, schedule) = (Context { provider, domain: stolen.domain }, Schedule::default());
+    let cabinet = Cabinet::open(&directory.path().join("gateway"), context, identity, schedule, Timestamp::now());
     let (signing, envelope) = (alice.keyring.signing.public, alice.keyring.envelope.public);
     let key = stolen.gateway.transport.clone();
     let binding = Binding { account: stolen.owner, key, signing, envelope, device: None };
     let liar =
         Arc::new(Liar { binding, device: stolen.device.clone(), asked: AtomicU64::new(0), taken: Mutex::default() });
     assert_eq!(signer_id(&liar.device.public), stolen.device_id());
-    let (context, address) =
-        (Context { provider, domain: stolen.domain }, SocketAddr::from(([127, 0, 0, 1], scene.port)));
+    let address = SocketAddr::from(([127, 0, 0, 1], scene.port));
     let desk = Arc::clone(&liar) as Arc<dyn Desk>;
     let server =
         Server::start(address, desk, context, cabinet.expect("opens"), Limits::default()).await.expect("serves");

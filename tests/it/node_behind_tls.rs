@@ -28,14 +28,15 @@ fn expect_no_secret(text: &str) {
     }
 }
 
-fn a_mission(scheme: &str) {
+#[test]
+fn a_mission_over_https_with_a_password_and_a_path() {
     let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
     let nginx = match Nginx::start(node.port()) {
         Ok(nginx) => nginx,
         Err(reason) => skipped!(reason),
     };
     let home = Home::new();
-    let authros = at(&home, &nginx, &nginx.url(scheme));
+    let authros = at(&home, &nginx, &nginx.url());
     node.fund(&text(&authros.json(&["identity", "create"]), "address"));
     assert_eq!(authros.json(&["identity", "register"])["registered"], true);
     authros.capture(&[TOPIC], 5);
@@ -57,16 +58,6 @@ fn a_mission(scheme: &str) {
 }
 
 #[test]
-fn a_mission_over_https_with_a_password_and_a_path() {
-    a_mission("https");
-}
-
-#[test]
-fn a_mission_over_a_web_socket_with_tls_a_password_and_a_path() {
-    a_mission("wss");
-}
-
-#[test]
 fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let nginx = match Nginx::start(node.port()) {
@@ -77,32 +68,23 @@ fn what_keeps_us_from_the_node_is_named_with_what_to_do() {
     home.authros().json(&["identity", "create"]);
     let (good, own) = (nginx.at(Certificate::Good), nginx.at(Certificate::SelfSigned));
     let (expired, other) = (nginx.at(Certificate::Expired), nginx.at(Certificate::OtherName));
-    for secured in ["https", "wss"] {
-        let plain = if secured == "https" { "http" } else { "ws" };
-        for (url, said) in [
-            (format!("{secured}://{good}/{KEY}/"), ["requires a user name and password (HTTP 401)", "USER:PASSWORD@"]),
-            (format!("{secured}://{USER}:wrong@{good}/{KEY}/"), ["does not accept the user name", "HTTP 401"]),
-            (format!("{secured}://{USER}:{ESCAPED}@{good}/elsewhere/"), ["serves nothing at this path", "HTTP 404"]),
-            (format!("{plain}://{USER}:{ESCAPED}@{good}/{KEY}/"), ["speaks TLS at this port", "https:// or wss://"]),
-            (
-                format!("{secured}://{USER}:{ESCAPED}@{own}/{KEY}/"),
-                ["a certificate of an authority as its own", "chain.roots"],
-            ),
-            (format!("{secured}://{USER}:{ESCAPED}@{expired}/{KEY}/"), ["expired at 2020-01-0", "renewed"]),
-            (
-                format!("{secured}://{USER}:{ESCAPED}@{other}/{KEY}/"),
-                ["for another name", "get a certificate for this name"],
-            ),
-        ] {
-            let message = at(&home, &nginx, &url).fails(4, &["identity", "register"]);
-            assert!(said.iter().all(|part| message.contains(part)), "{url}: {message}");
-            expect_no_secret(&message);
-        }
-        // Without the setting nobody here knows the authority.
-        let stranger = home.authros().with_variable("AUTHROS_CHAIN", &nginx.url(secured));
-        let message = stranger.fails(4, &["identity", "register"]);
-        assert!(message.contains("an authority that is not trusted") && message.contains("chain.roots"), "{message}");
+    for (url, said) in [
+        (format!("https://{good}/{KEY}/"), ["requires a user name and password (HTTP 401)", "USER:PASSWORD@"]),
+        (format!("https://{USER}:wrong@{good}/{KEY}/"), ["does not accept the user name", "HTTP 401"]),
+        (format!("https://{USER}:{ESCAPED}@{good}/elsewhere/"), ["serves nothing at this path", "HTTP 404"]),
+        (format!("http://{USER}:{ESCAPED}@{good}/{KEY}/"), ["speaks TLS at this port", "use https://"]),
+        (format!("https://{USER}:{ESCAPED}@{own}/{KEY}/"), ["a certificate of an authority as its own", "chain.roots"]),
+        (format!("https://{USER}:{ESCAPED}@{expired}/{KEY}/"), ["expired at 2020-01-0", "renewed"]),
+        (format!("https://{USER}:{ESCAPED}@{other}/{KEY}/"), ["for another name", "get a certificate for this name"]),
+    ] {
+        let message = at(&home, &nginx, &url).fails(4, &["identity", "register"]);
+        assert!(said.iter().all(|part| message.contains(part)), "{url}: {message}");
+        expect_no_secret(&message);
     }
+    // Without the setting nobody here knows the authority.
+    let stranger = home.authros().with_variable("AUTHROS_CHAIN", &nginx.url());
+    let message = stranger.fails(4, &["identity", "register"]);
+    assert!(message.contains("an authority that is not trusted") && message.contains("chain.roots"), "{message}");
 }
 
 #[test]

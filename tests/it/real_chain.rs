@@ -65,12 +65,6 @@ fn fifty_records_are_anchored_over_http() {
 }
 
 #[test]
-fn fifty_records_are_anchored_over_a_web_socket() {
-    let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
-    expect_fifty_anchored(&node, &node.ws());
-}
-
-#[test]
 fn fifty_records_are_anchored_over_a_local_socket() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     expect_fifty_anchored(&node, node.ipc().to_str().expect("UTF-8"));

@@ -153,7 +153,7 @@ impl Operator {
         let network = Client::inquire(std::slice::from_ref(&gate.address), PATIENCE).await.expect("tells");
         let domain = domain(network.chain_id, &network.genesis, &network.contract);
         let context = Context { provider: provider(ProviderName::RustCrypto), domain };
-        let endpoint = Endpoint { addresses: vec![gate.address.clone()], context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses: vec![gate.address.clone()], context, patience: PATIENCE, source: None };
         let gateway: SignerId = gate.fingerprint.parse().expect("hex");
         Self { endpoint, trust: Trust::pinned(gateway), keyring, network }
     }

@@ -70,11 +70,6 @@ impl Anvil {
         format!("http://127.0.0.1:{}", self.port)
     }
 
-    /// Its URL for a WebSocket.
-    pub fn ws(&self) -> String {
-        format!("ws://127.0.0.1:{}", self.port)
-    }
-
     /// Its local socket.
     pub fn ipc(&self) -> PathBuf {
         self.directory.path().join("node.ipc")

@@ -41,7 +41,7 @@ impl Gateway {
 
     pub fn endpoint(&self) -> Endpoint {
         let context = Context { provider: provider(ProviderName::RustCrypto), domain: self.domain };
-        Endpoint { addresses: vec![self.address.clone()], context, patience: Duration::from_secs(20) }
+        Endpoint { addresses: vec![self.address.clone()], context, patience: Duration::from_secs(20), source: None }
     }
 
     pub fn trust(&self) -> Trust {

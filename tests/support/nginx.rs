@@ -77,9 +77,9 @@ impl Nginx {
         format!("127.0.0.1:{}", self.ports[index])
     }
 
-    /// The node's URL with everything that it wants; `scheme` is https or wss.
-    pub fn url(&self, scheme: &str) -> String {
-        format!("{scheme}://{USER}:{ESCAPED}@{}/{KEY}/", self.at(Certificate::Good))
+    /// The node's URL with everything that it wants.
+    pub fn url(&self) -> String {
+        format!("https://{USER}:{ESCAPED}@{}/{KEY}/", self.at(Certificate::Good))
     }
 
     /// The authority's certificate.
@@ -92,8 +92,7 @@ fn settings(ports: &[u16; 4], node: u16) -> String {
     let server = |(port, (_, name)): (&u16, &(Certificate, &str))| {
         format!(
             "server {{ listen 127.0.0.1:{port} ssl; ssl_certificate {name}.pem; ssl_certificate_key {name}.key;\n\
-             location /{KEY}/ {{ auth_basic node; auth_basic_user_file users; proxy_pass http://127.0.0.1:{node}/;\n\
-             proxy_http_version 1.1; proxy_set_header Upgrade $http_upgrade; proxy_set_header Connection $upgrade; }}\n\
+             location /{KEY}/ {{ auth_basic node; auth_basic_user_file users; proxy_pass http://127.0.0.1:{node}/; }}\n\
              location / {{ return 404; }} }}\n"
         )
     };
@@ -104,7 +103,7 @@ fn settings(ports: &[u16; 4], node: u16) -> String {
         .collect();
     format!(
         "daemon off;\nmaster_process off;\npid nginx.pid;\nevents {{}}\nhttp {{\naccess_log off;\n{places}\
-         client_max_body_size 8m;\nmap $http_upgrade $upgrade {{ default upgrade; '' ''; }}\n{servers}}}\n"
+         client_max_body_size 8m;\n{servers}}}\n"
     )
 }
 

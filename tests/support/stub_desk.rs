@@ -51,7 +51,7 @@ pub async fn serve(
     let caller = Account { signing: keys.signing.public, envelope: keys.envelope.public };
     let key = signer_id(&identity.public).to_string();
     let (schedule, now) = (Schedule::default(), Timestamp::now());
-    let cabinet = Cabinet::open(folder, context.provider, context.domain, identity, schedule, now).expect("opens");
+    let cabinet = Cabinet::open(folder, context, identity, schedule, now).expect("opens");
     let desk = Arc::new(StubDesk { caller, bindings: Mutex::default(), tells });
     let server = Server::start("127.0.0.1:0", desk as Arc<dyn Desk>, context, cabinet, Limits::default()).await;
     (server.expect("listens"), key)

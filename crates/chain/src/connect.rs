@@ -6,17 +6,14 @@ use std::time::{Duration, Instant};
 
 use ethers::types::{H160, H256, U64, U256};
 use ethers::utils::keccak256;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Value, json};
 
-use crate::call::artefact;
-use crate::crypto::EoaSecret;
-use crate::model::{Address, Domain, Hash, Wei, bytes::unhex, clean};
+use crate::model::{Address, Domain, Hash, Wei, clean};
 use crate::transaction::{RawReceipt, Unsigned, created_address};
-use crate::transport::Transport;
 use crate::{
-    BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait, embedded, fees,
+    BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, Policy, Priced, STARVING, Shortfall, Wait,
+    call::artefact, crypto::EoaSecret, embedded, fees, model::bytes::unhex, transport::Transport,
 };
 
 pub(super) const POLL: Duration = Duration::from_millis(200);

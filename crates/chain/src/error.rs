@@ -17,7 +17,7 @@ pub enum ChainError {
     Unreachable { url: String, reason: String, advice: String },
     #[error("{url} gave an unexpected answer to {method} ({reason}); check that `chain.url` is an Ethereum node")]
     Answer { url: String, method: String, reason: String },
-    #[error("'{0}' is not the address of a node; use http://HOST:PORT, https://, ws://, wss:// or ipc:/PATH")]
+    #[error("'{0}' is not the address of a node; use http://HOST:PORT, https:// or ipc:/PATH")]
     Url(String),
     #[error("{0}; check `chain.roots`")]
     Roots(String),

@@ -6,9 +6,8 @@ use std::{collections::HashSet, str::FromStr};
 use ethers::types::U256;
 use serde_json::{Value, json};
 
-use super::ChainError;
-use crate::model::{Address, Timestamp, bytes::hex, clean};
-use crate::transaction::List;
+use crate::model::{Address, Timestamp, clean};
+use crate::{ChainError, model::bytes::hex, transaction::List};
 
 /// The last part of the manual's page on networks.
 pub fn network_guide() -> &'static str {

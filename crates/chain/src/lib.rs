@@ -1,4 +1,4 @@
-//! The Ethereum chain: one [`Chain`] for the embedded EVM and for real nodes over http, ws and ipc.
+//! The Ethereum chain: one [`Chain`] for the embedded EVM and for real nodes over http and ipc.
 //!
 //! ethers and revm stay in this crate. The pipeline decides which record is in which transaction, when to resend, and
 //! what to do after a reorg.
@@ -14,7 +14,6 @@ mod reader;
 pub mod relay;
 mod sealing;
 pub mod serve;
-mod state_proof;
 #[cfg(test)]
 mod tests;
 mod transaction;
@@ -52,7 +51,7 @@ pub enum Endpoint {
         consensus: Option<Consensus>,
     },
     Node {
-        /// `http://…`, `https://…`, `ws://…`, `wss://…`, `ipc:/path` or `/path.ipc`.
+        /// `http://…`, `https://…`, `ipc:/path` or `/path.ipc`.
         url: String,
         /// PEM file of trusted authorities; `None` = the machine's.
         roots: Option<PathBuf>,

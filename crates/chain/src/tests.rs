@@ -299,12 +299,9 @@ async fn a_node_that_does_not_answer_is_unreachable() {
     let listener = std::net::TcpListener::bind(silent);
     for url in [
         format!("http://{closed}"),
-        format!("ws://{closed}"),
         format!("https://{closed}"),
-        format!("wss://{closed}"),
         "ipc:/nowhere/geth.ipc".into(),
         format!("http://{silent}"),
-        format!("ws://{silent}"),
     ] {
         let error = Chain::connect(node(&url)).await.expect_err("no node");
         assert_eq!(error.kind(), ErrorKind::Unreachable, "{error}");

@@ -1,19 +1,25 @@
 //! One JSON-RPC client for every kind of chain. Every answer has a time limit and a largest size, and no error shows a
 //! path or a password.
 
-mod socket;
-#[cfg(test)]
-mod tests;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use std::{error::Error, fmt};
 
-use std::{error::Error, fmt, path::Path, time::Duration};
-
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use percent_encoding::percent_decode_str;
+use reqwest::header::{AUTHORIZATION, CONTENT_TYPE, HeaderValue, InvalidHeaderValue, LOCATION};
+use reqwest::{Client, Url, redirect::Policy};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use tokio::sync::Semaphore;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::{net::UnixStream, sync::Semaphore};
+use tokio_rustls::rustls::ClientConfig;
+use zeroize::Zeroizing;
 
-use self::socket::{Address, Http, Kept, Local, Place, Server, WebSocket};
-use crate::{ChainError, Endpoint, embedded::Embedded, model::clean, relay::RelayLine};
+use crate::model::{address_without_secrets, clean};
+use crate::{ChainError, Endpoint, embedded::Embedded, relay::RelayLine};
 
 /// Requests to a node at a time; further ones wait.
 const TOGETHER: usize = 8;
@@ -57,9 +63,8 @@ pub struct Transport {
 
 enum Line {
     Embedded(Embedded),
-    Http(Http),
-    WebSocket(Kept<WebSocket>),
-    Local(Kept<Local>),
+    Http(Box<Http>),
+    Local(Local),
     Relay(RelayLine),
     Absent(ChainError),
 }
@@ -134,13 +139,20 @@ impl Transport {
     }
 
     fn to_node(url: &str, roots: Option<&Path>) -> Result<Self, ChainError> {
-        let address = Address::parse(url, roots)?;
-        let line = match address.place {
-            Place::Http(server) => Line::Http(Http::new(server)?),
-            Place::WebSocket(server) => Line::WebSocket(Kept::new(server)),
-            Place::Local(path) => Line::Local(Kept::new(path)),
+        let shown = clean(&address_without_secrets(url), 120);
+        // An unparsable URL may hold a secret anywhere.
+        let refused = || match url.split_once("://") {
+            Some((scheme @ ("http" | "https"), _)) => ChainError::Url(format!("{scheme}://…")),
+            _ => ChainError::Url(shown.clone()),
         };
-        Ok(Self::new(line, address.shown))
+        let line = if url.starts_with("http://") || url.starts_with("https://") {
+            Line::Http(Box::new(Http::new(Server::parse(url, roots, &refused)?)?))
+        } else {
+            let path = url.strip_prefix("ipc:").or_else(|| url.strip_suffix(".ipc").map(|_| url));
+            let path = path.map(PathBuf::from).filter(|path| path.is_absolute()).ok_or_else(refused)?;
+            Line::Local(Local { path, idle: Mutex::default() })
+        };
+        Ok(Self::new(line, shown))
     }
 
     /// Every request fails with this error.
@@ -203,8 +215,7 @@ impl Transport {
             Line::Relay(relay) => shaped(relay.0.ask(method, params).await?),
             Line::Absent(error) => Err(TransportError::Chain(error.clone())),
             Line::Http(http) => http.ask(request(method, &params), limits).await,
-            Line::WebSocket(kept) => read(&kept.ask(&request(method, &params), limits).await?),
-            Line::Local(kept) => read(&kept.ask(&request(method, &params), limits).await?),
+            Line::Local(local) => read(&local.ask(&request(method, &params), limits.bytes).await?),
         }
     }
 }
@@ -312,10 +323,7 @@ impl Refused<'_> {
             }
             403 => ("forbids the request", "ask its operator to allow this machine and this host name"),
             404 => ("serves nothing at this path", "correct the path in `chain.url`"),
-            405 | 426 => (
-                "does not accept requests of this kind at this path",
-                "check the path in `chain.url`, and whether it is ws:// (wss://) or http:// (https://)",
-            ),
+            405 | 426 => ("does not accept requests of this kind at this path", "check the path in `chain.url`"),
             413 => (
                 "rejects the request as too large",
                 "raise the limit of the proxy in front of the node (nginx: client_max_body_size)",
@@ -326,7 +334,7 @@ impl Refused<'_> {
             }
             500..=599 => ("has an internal error", "check its log, or that of the proxy in front of it"),
             301..=303 | 307 | 308 => return self.redirect(server),
-            400 if self.is_plain_to_tls() => ("speaks TLS at this port", "use https:// or wss:// in `chain.url`"),
+            400 if self.is_plain_to_tls() => ("speaks TLS at this port", "use https:// in `chain.url`"),
             _ => ("answers with a web page instead of JSON-RPC", "check that `chain.url` is an Ethereum node"),
         };
         TransportError::Unusable { reason: format!("{what} (HTTP {})", self.status), advice: advice.to_owned() }
@@ -349,6 +357,137 @@ fn broken(error: &(dyn Error + 'static)) -> TransportError {
     match authros_tls::tls_fault(error, ROOTS) {
         Some(fault) => TransportError::Unusable { reason: fault.reason, advice: fault.advice },
         None => TransportError::Broken(authros_tls::innermost(error)),
+    }
+}
+
+/// An HTTP server in front of a node.
+#[derive(Clone)]
+struct Server {
+    /// Without user name and password.
+    url: Url,
+    /// As HTTP basic authentication.
+    credentials: Option<HeaderValue>,
+    tls: Option<ClientConfig>,
+}
+
+impl Server {
+    fn parse(text: &str, roots: Option<&Path>, refused: &dyn Fn() -> ChainError) -> Result<Self, ChainError> {
+        let mut url = Url::parse(text).map_err(|_| refused())?;
+        let credentials = basic(&url).map_err(|_| refused())?;
+        url.set_username("").and_then(|()| url.set_password(None)).map_err(|()| refused())?;
+        let tls = (url.scheme() == "https").then(|| authros_tls::tls(roots).map_err(ChainError::Roots)).transpose()?;
+        Ok(Self { url, credentials, tls })
+    }
+}
+
+fn basic(url: &Url) -> Result<Option<HeaderValue>, InvalidHeaderValue> {
+    if url.username().is_empty() && url.password().is_none() {
+        return Ok(None);
+    }
+    let (user, password) = (url.username(), url.password().unwrap_or_default());
+    let parts = percent_decode_str(user).chain([b':']).chain(percent_decode_str(password));
+    let pair: Zeroizing<Vec<u8>> = Zeroizing::new(parts.collect());
+    let encoded = Zeroizing::new(STANDARD.encode(&*pair));
+    let text = Zeroizing::new(format!("Basic {}", *encoded));
+    let mut header = HeaderValue::from_str(&text)?;
+    header.set_sensitive(true);
+    Ok(Some(header))
+}
+
+/// A Unix socket of this machine: JSON values, one after another. A connection has one request at a time, so an answer is
+/// always that of the last question; any error closes it.
+struct Local {
+    path: PathBuf,
+    /// Idle connections and since when; the newest is last.
+    idle: Mutex<Vec<(UnixStream, Instant)>>,
+}
+
+impl Local {
+    /// The answer has at most `most` bytes.
+    async fn ask(&self, request: &str, most: usize) -> Result<Vec<u8>, TransportError> {
+        // The newest one, unless the node may be about to close it.
+        let newest = {
+            let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+            idle.retain(|(_, since)| since.elapsed() < IDLE);
+            idle.pop()
+        };
+        let mut stream = match newest {
+            Some((stream, _)) => stream,
+            None => UnixStream::connect(&self.path).await.map_err(|error| broken(&error))?,
+        };
+        stream.write_all(request.as_bytes()).await.map_err(|error| broken(&error))?;
+        let mut answer = Vec::with_capacity(PIECE);
+        while !is_whole(&answer) {
+            if stream.read_buf(&mut answer).await.map_err(|error| broken(&error))? == 0 {
+                return Err(TransportError::Broken("it closed the connection".to_owned()));
+            }
+            if answer.len() > most {
+                return Err(TransportError::TooLong(most));
+            }
+        }
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner).push((stream, Instant::now()));
+        Ok(answer)
+    }
+}
+
+const PIECE: usize = 64 << 10;
+
+/// A whole object of JSON.
+fn is_whole(answer: &[u8]) -> bool {
+    answer.trim_ascii_end().ends_with(b"}") && serde_json::from_slice::<IgnoredAny>(answer).is_ok()
+}
+
+/// Longest error page read, bytes.
+const LONGEST_PAGE: usize = 64 << 10;
+
+struct Http {
+    client: Client,
+    server: Server,
+}
+
+impl Http {
+    fn new(server: Server) -> Result<Self, ChainError> {
+        // No redirects: only the named node gets requests and credentials.
+        let client = Client::builder().no_proxy().redirect(Policy::none()).tls_built_in_root_certs(false);
+        // Shared by the addresses of a name, so that a silent one leaves time for the others.
+        let client = client.connect_timeout(CONNECTING);
+        let client = client.pool_max_idle_per_host(TOGETHER).pool_idle_timeout(IDLE);
+        let client = match &server.tls {
+            Some(config) => client.use_preconfigured_tls(config.clone()),
+            None => client,
+        };
+        let client = client.build().map_err(|error| ChainError::Internal(clean(&error.to_string(), 120)))?;
+        Ok(Self { client, server })
+    }
+
+    async fn ask<R: DeserializeOwned>(&self, body: String, limits: Limits) -> Result<R, TransportError> {
+        let mut request = self.client.post(self.server.url.clone()).header(CONTENT_TYPE, "application/json");
+        if let Some(credentials) = &self.server.credentials {
+            request = request.header(AUTHORIZATION, credentials.clone());
+        }
+        let mut response = request.body(body).send().await.map_err(|error| broken(&error))?;
+        let status = response.status();
+        // Reads only the beginning of an error page.
+        let most = if status.is_success() { limits.bytes } else { LONGEST_PAGE.min(limits.bytes) };
+        let mut bytes = Vec::new();
+        while let Some(piece) = response.chunk().await.map_err(|error| broken(&error))? {
+            if bytes.len() + piece.len() > most {
+                if status.is_success() {
+                    return Err(TransportError::TooLong(most));
+                }
+                break;
+            }
+            bytes.extend_from_slice(&piece);
+        }
+        if !status.is_success() && !is_one(&bytes) {
+            let location = response.headers().get(LOCATION).and_then(|place: &HeaderValue| place.to_str().ok());
+            return Err(Refused { status: status.as_u16(), location, page: &bytes }.words(&self.server));
+        }
+        // The text of a web page says nothing, and a fault of JSON is not what is wrong.
+        let is_page = bytes.trim_ascii_start().starts_with(b"<");
+        let page =
+            || TransportError::Malformed("a web page: the proxy in front of the node refused the request".into());
+        read(&bytes).map_err(|error| if is_page { page() } else { error })
     }
 }
 
@@ -387,3 +526,75 @@ mod answer_tests {
         assert_eq!(value, json!({"jsonrpc": "2.0", "id": 1, "method": "eth_call", "params": [1, "latest"]}));
     }
 }
+
+#[cfg(test)]
+mod address_tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Transport, ChainError> {
+        Transport::to_node(text, None)
+    }
+
+    #[test]
+    fn urls() {
+        for good in ["http://127.0.0.1:8545", "ipc:/tmp/geth.ipc", "/tmp/geth.ipc"] {
+            assert!(parse(good).is_ok(), "{good}");
+        }
+        for bad in [
+            "",
+            "127.0.0.1:8545",
+            "ftp://node",
+            "ws://node:8546",
+            "ipc:geth.ipc",
+            "geth.ipc",
+            "http://",
+            "https://",
+            "/tmp/x",
+        ] {
+            assert!(matches!(parse(bad), Err(ChainError::Url(_))), "{bad}");
+        }
+    }
+
+    #[test]
+    fn credentials_are_sent_and_not_shown() {
+        // python3: base64.b64encode(b"op:p@ss/w#rd:%1")
+        let expected = "Basic b3A6cEBzcy93I3JkOiUx";
+        let transport = parse("http://op:p%40ss%2Fw%23rd:%251@node.example:1/v3/KEY").expect("a URL");
+        let Line::Http(http) = &transport.line else { panic!("a server") };
+        let credentials = http.server.credentials.as_ref().map(|header| header.to_str().expect("text"));
+        assert_eq!((credentials, http.server.url.as_str()), (Some(expected), "http://node.example:1/v3/KEY"));
+        assert_eq!(transport.url, "http://…@node.example:1/…");
+        let Line::Http(http) = parse("http://node.example").expect("a URL").line else { panic!("a server") };
+        assert_eq!(http.server.credentials, None);
+    }
+
+    #[test]
+    fn a_refused_url_shows_no_secret() {
+        for bad in [
+            "http://me:SECRET@",
+            "https://me:SECRET@:x/",
+            "nothing://me:SECRET@host/SECRET",
+            "ws://[SECRET/",
+            "node.example/SECRET",
+        ] {
+            let Err(error) = parse(bad) else { panic!("{bad} is accepted") };
+            assert!(!error.to_string().contains("SECRET"), "{error}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod bracket_tests {
+    use super::*;
+
+    #[test]
+    fn an_object_ends_with_its_own_bracket() {
+        for text in [r#"{"a":[1,{"b":"}\"]"}]}"#, r#" {"result":"\\"}"#, "{}\n"] {
+            let whole = |length: &usize| is_whole(&text.as_bytes()[..*length]);
+            assert_eq!((0..=text.len()).find(whole), Some(text.trim_end().len()), "{text}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -46,9 +46,9 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "robots", "AUTHROS_ROBOTS", "4":
         "simulated robots on the embedded master, 0 to 32; none by default if ros.domain is set";
     "chain.url", "AUTHROS_CHAIN", "":
-        "node to use: http://, https://, ws://, wss:// or ipc path; empty = embedded chain";
+        "node to use: http://, https:// or ipc path; empty = embedded chain";
     "chain.roots", "AUTHROS_CHAIN_ROOTS", "":
-        "PEM file with the certificate authorities to accept for https:// and wss://; empty = those of this machine";
+        "PEM file with the certificate authorities to accept for https://; empty = those of this machine";
     "chain.contract", "AUTHROS_CONTRACT", "":
         "address of the AuthROS contract; empty = deploy one at the first registration";
     "chain.max_fee", "AUTHROS_MAX_FEE", "1000":

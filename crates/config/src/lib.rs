@@ -213,7 +213,7 @@ impl Config {
             rosrust_program: text("ros.rosrust_program").map(PathBuf::from),
             robots: if without_robots { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
-            chain_url: url(&values, "chain.url", &["http://", "https://", "ws://", "wss://", "ipc://", "/"])?,
+            chain_url: url(&values, "chain.url", &["http://", "https://", "ipc://", "/"])?,
             chain_roots: certificates(&values, "chain.roots")?,
             contract: parsed(&values, "chain.contract")?,
             max_fee,

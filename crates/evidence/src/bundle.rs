@@ -2,24 +2,21 @@
 #![allow(clippy::missing_errors_doc, reason = "`BundleError` and `PackingError` say what is wrong")]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read as _;
-use std::path::Path;
+use std::{io::Read as _, path::Path};
 
-use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
-use crate::committed::BlockHeader;
-use crate::completeness::{self, HEIGHTS, Height};
-use crate::manifest::{self, ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
-use crate::report::{Level, Reason, Standing};
-use crate::state::Nodes;
-use crate::time::{self, BundledStamp, DraftStamp, StampTree};
-use crate::trust::Trust;
-use crate::verify::Check;
 use authros_crypto::merkle::{Inclusion, LONGEST_PATH};
 use authros_crypto::record::{RecordSecret, Revealed, open_revealed_within, reveal_bytes};
 use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signature_from_der, signer_id};
 use authros_model::header::{LARGEST_BODY, LARGEST_HEAD};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, PublicKey, Signature, SignerId, clean};
 use serde::{Deserialize, Serialize};
+
+use crate::archive::{self, LARGEST, MIMETYPE, MOST_MEMBERS, Members, is_name};
+use crate::completeness::{self, HEIGHTS, Height};
+use crate::manifest::{self, ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SIGNATURE, signed_bytes};
+use crate::report::{Level, Reason, Standing};
+use crate::time::{self, BundledStamp, DraftStamp, StampTree};
+use crate::{committed::BlockHeader, state::Nodes, trust::Trust, verify::Check};
 
 /// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
@@ -529,7 +526,7 @@ impl Packing {
     /// Adds an authority's stamps over these roots; all of them were stamped together.
     pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
         if !tokens.is_empty() {
-            self.members.extend(time::members(tree, wanted, tokens)?);
+            self.members.extend(time::files(tree, wanted, tokens)?);
         }
         Ok(())
     }

@@ -5,15 +5,15 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use authros_crypto::{AccountSignature, keccak256, merkle::Leaf, recover_account};
+use authros_model::{Address, Digest, Hash, Header, Timestamp};
+use rlp::{Rlp, RlpStream};
+
 use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
 use crate::manifest::{is_canonical, text};
 use crate::report::{Level, Reason, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
-use authros_crypto::merkle::Leaf;
-use authros_crypto::{AccountSignature, keccak256, recover_account};
-use authros_model::{Address, Digest, Hash, Header, Timestamp};
-use rlp::{Rlp, RlpStream};
 
 const MIX: [u8; 32] = *b"ctical byzantine fault tolerance";
 /// Rounds tried if the seals do not fit the header's own, to say what is wrong.

@@ -3,15 +3,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::BundleError;
-use crate::report::{HeadsClaim, Reason, RecordReport, Standing, Stretch};
-use crate::verify::Messages;
 use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
 use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId, counted};
 use serde::{Deserialize, Serialize};
 
+use crate::report::{HeadsClaim, Reason, RecordReport, Standing, Stretch};
+use crate::{BundleError, verify::Messages};
+
 const MOST_GAPS: usize = 100;
 
+type Recorder = (Address, SignerId, RecorderId);
 type Topic = (Address, SignerId, RecorderId, TopicId);
 type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 
@@ -141,12 +142,7 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
             "; its recorder follows {predecessor}, after a restore, on a copy, or with another key"
         ));
     }
-    if stretch.uncounted > 0 {
-        text.push_str(&format!(
-            "; and {} whose signer is not proven, not counted",
-            counted(stretch.uncounted, "record")
-        ));
-    }
+    text.push_str(&uncounted(stretch));
     match (stretch.twice.first(), stretch.standing) {
         (Some(number), _) => {
             format!("TWO different records carry number {number}: their signer told two histories; {text}")
@@ -171,18 +167,19 @@ fn told_of_ring(stretch: &Stretch) -> String {
     parts.push(range(from, last));
     let more = if parts.len() > 10 { " and more" } else { "" };
     parts.truncate(10);
-    let mut text = format!(
+    let text = format!(
         "of a robot's ring every number of {}{more}; other numbers of a ring expired or were not requested: nothing is \
          claimed about them",
         parts.join(", ")
     );
-    if stretch.uncounted > 0 {
-        text.push_str(&format!(
-            "; and {} whose signer is not proven, not counted",
-            counted(stretch.uncounted, "record")
-        ));
+    text + &uncounted(stretch)
+}
+
+fn uncounted(stretch: &Stretch) -> String {
+    match stretch.uncounted {
+        0 => String::new(),
+        count => format!("; and {} whose signer is not proven, not counted", counted(count, "record")),
     }
-    text
 }
 
 fn until(stretch: &Stretch, first: u64, last: u64) -> String {
@@ -264,18 +261,14 @@ fn statement<'a>(record: &'a RecordReport, messages: &'a Messages, type_name: &s
     (message.head.topic == TOPIC && message.head.type_name == type_name).then_some(&message.body[..])
 }
 
-pub(crate) struct Claim<'a> {
+struct Claim<'a> {
     pub record: &'a RecordReport,
     /// The number; `None` if the path does not lead to the head's root.
     pub number: Option<u64>,
 }
 
-pub(crate) fn claims<'a>(
-    heights: &[Height],
-    records: &'a [RecordReport],
-    messages: &'a Messages,
-    (owner, signer, recorder, topic): (Address, SignerId, RecorderId, TopicId),
-) -> Vec<Claim<'a>> {
+fn claims<'a>(heights: &[Height], records: &'a [RecordReport], messages: &'a Messages, of: Topic) -> Vec<Claim<'a>> {
+    let (owner, signer, recorder, topic) = of;
     let claim = |height: &Height| {
         let at = records.binary_search_by(|record| record.digest.cmp(&height.heads)).ok()?;
         let record = records.get(at).filter(|record| is_of(record, (owner, signer, recorder)))?;
@@ -289,15 +282,11 @@ pub(crate) fn claims<'a>(
     claims
 }
 
-fn is_of(record: &RecordReport, (owner, signer, recorder): (Address, SignerId, RecorderId)) -> bool {
+fn is_of(record: &RecordReport, (owner, signer, recorder): Recorder) -> bool {
     (record.owner, record.signer, record.recorder) == (Some(owner), Some(signer), Some(recorder))
 }
 
-pub(crate) fn birth<'a>(
-    records: &'a [RecordReport],
-    messages: &'a Messages,
-    of: (Address, SignerId, RecorderId),
-) -> Option<(&'a RecordReport, Birth)> {
+fn birth<'a>(records: &'a [RecordReport], messages: &'a Messages, of: Recorder) -> Option<(&'a RecordReport, Birth)> {
     let own = records.iter().filter(|record| is_of(record, of));
     let births = own.filter_map(|record| Some((record, Birth::parse(statement(record, messages, Birth::TYPE)?).ok()?)));
     births.min_by_key(|(record, _)| record.seq)

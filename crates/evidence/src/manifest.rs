@@ -1,15 +1,15 @@
 //! `manifest.json`: every member with its length and hashes, the claimed chain, and the exporter's signature. Each form
 //! has one spelling: what two readers could take differently is refused before it means anything.
 
-use crate::BundleError;
-use crate::archive::{MIMETYPE, Members};
 use authros_crypto::{Provider, pool, signature_from_der, signer_id};
 use authros_model::{Address, Hash, PublicKey, SignerId, clean};
 use rlp::Rlp;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
+
+use crate::BundleError;
+use crate::archive::{MIMETYPE, Members};
 
 /// The form of a bundle.
 pub const FORMAT: &str = "authros-evidence/1";

@@ -1,8 +1,7 @@
 //! A follower's statement about a recorder's file: its length, its digest, and those of its chunks, sealed as a record.
 //! Its form is that of MCAP metadata, so that an exported recording contains it as such.
 
-use std::collections::BTreeMap;
-use std::io::Read;
+use std::{collections::BTreeMap, io::Read};
 
 use authros_crypto::Sm3Hasher;
 use authros_model::Digest;

@@ -6,8 +6,7 @@ use authros_crypto::domain;
 use authros_model::{Address, Domain, Hash, SignerId, clean};
 use serde::{Deserialize, Serialize};
 
-use crate::committed::two_thirds;
-use crate::time::Certificate;
+use crate::{committed::two_thirds, time::Certificate};
 
 /// The longest file, bytes.
 pub const LONGEST_TRUST: usize = 64 * 1024;

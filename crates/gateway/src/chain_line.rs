@@ -7,12 +7,9 @@ use serde_json::Value;
 use tokio::sync::Mutex;
 
 use crate::client::{Client, Credentials, Endpoint};
-use crate::command::Relayed;
 use crate::error::{Code, GatewayError};
-use crate::hello::Agreed;
-use crate::model::ProfileName;
 use crate::model::relay::{Relay, RelayError};
-use crate::trust::KeptTrust;
+use crate::{command::Relayed, hello::Agreed, model::ProfileName, trust::KeptTrust};
 
 pub struct ChainLine {
     endpoint: Endpoint,

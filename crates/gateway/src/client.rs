@@ -8,24 +8,20 @@ use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio::time::timeout;
 
 use crate::allocation::{AllocationRequest, Applicant, apply};
-use crate::command::relay::LONGEST_PARAMETERS;
-use crate::command::request::MOST_DIGESTS;
 use crate::command::{
     Answer, DeviceNotice, ErasureNotice, ErasureOutcome, Fetched, Found, GrantNotice, Inner, LARGEST_MESSAGE, Notice,
     Part, RelayCall, Relayed, Request, RevokeNotice, Speaker, Upload, signed_bytes, split,
 };
-use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
 use crate::error::{Code, GatewayError, Refusal};
 use crate::feed::{Feed, FeedPage};
 use crate::frame::{Assembler, FrameKind, Line, LineError, Message};
 use crate::hello::{Agreed, ClientHello, Context, NetworkName};
-use crate::model::wire::Wire as _;
 use crate::model::{Digest, ProfileName, Timestamp, Token, clean};
-use crate::receipt::Receipt;
-use crate::session::Session;
-use crate::system_keys::SystemKeyList;
-use crate::trust::Trust;
+use crate::{command::messages::LONGEST_PARAMETERS, command::messages::MOST_DIGESTS, system_keys::SystemKeyList};
+use crate::{crypto::record::check, model::wire::Wire as _, receipt::Receipt, session::Session, trust::Trust};
+
+type Result<T, E = GatewayError> = std::result::Result<T, E>;
 
 #[derive(Clone)]
 pub struct Endpoint {
@@ -34,6 +30,8 @@ pub struct Endpoint {
     pub context: Context,
     /// For an answer.
     pub patience: Duration,
+    /// One of this machine's addresses, each of which has its own limits at a gateway; `None` = any.
+    pub source: Option<IpAddr>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,22 +57,8 @@ pub struct Client {
 impl Client {
     /// `trust` records what the gateway showed: save it. `RefusedInClear(Tag)` also if the gateway does not know the
     /// name or has another K_T; `Recalled` if the name was a device's, which has this K_T.
-    pub async fn connect(
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        credentials: &Credentials,
-    ) -> Result<Self, GatewayError> {
-        Self::connect_from(None, endpoint, trust, credentials).await
-    }
-
-    /// `source`: one of this machine's addresses, each of which has its own limits at a gateway.
-    pub async fn connect_from(
-        source: Option<IpAddr>,
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        credentials: &Credentials,
-    ) -> Result<Self, GatewayError> {
-        let who = (source, &credentials.name, Some(&credentials.key));
+    pub async fn connect(endpoint: &Endpoint, trust: &mut Trust, credentials: &Credentials) -> Result<Self> {
+        let who = (&credentials.name, Some(&credentials.key));
         let mut client = Self::open(endpoint, trust, who, credentials.token).await?;
         // Both sides hold K_T: from the pong on, large frames are accepted.
         client.ping().await?;
@@ -82,7 +66,7 @@ impl Client {
         Ok(client)
     }
 
-    async fn open(endpoint: &Endpoint, trust: &mut Trust, who: Who<'_>, token: Token) -> Result<Self, GatewayError> {
+    async fn open(endpoint: &Endpoint, trust: &mut Trust, who: Who<'_>, token: Token) -> Result<Self> {
         let mut failed = Vec::new();
         for address in &endpoint.addresses {
             let hello = timeout(endpoint.patience, hello(endpoint, address, trust, who)).await;
@@ -102,25 +86,12 @@ impl Client {
 
     /// Binds N to the account and gives K_T to the gateway, with a receipt. After a lost answer N may be bound to a
     /// lost key: allocating again replaces it.
-    pub async fn allocate(
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        applicant: &Applicant<'_>,
-    ) -> Result<(TransportKey, Receipt), GatewayError> {
-        Self::allocate_from(None, endpoint, trust, applicant).await
-    }
-
-    pub async fn allocate_from(
-        source: Option<IpAddr>,
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        applicant: &Applicant<'_>,
-    ) -> Result<(TransportKey, Receipt), GatewayError> {
-        let mut client = Self::open(endpoint, trust, (source, applicant.name, None), Token([0; 32])).await?;
+    pub async fn allocate(at: &Endpoint, trust: &mut Trust, who: &Applicant<'_>) -> Result<(TransportKey, Receipt)> {
+        let mut client = Self::open(at, trust, (who.name, None), Token([0; 32])).await?;
         let list = client.system_keys().await?;
-        let context = endpoint.context;
-        let system_key = list.check(context.provider, &context.domain, &client.agreed, Timestamp::now())?;
-        let (key, body) = apply(&context, &client.agreed, &system_key, applicant)?;
+        let context = at.context;
+        let system_key = list.check(context, &client.agreed, Timestamp::now())?;
+        let (key, body) = apply(&context, &client.agreed, &system_key, who)?;
         let request = AllocationRequest::parse(&body).map_err(GatewayError::malformed("own allocation"))?;
         let digest = request.digest(context.provider);
         let receipt = client.acknowledged(&Request::KeyAllocation(request), &[digest]).await?;
@@ -128,7 +99,7 @@ impl Client {
     }
 
     /// The network of the first address that answers, proven only by a later hello.
-    pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
+    pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName> {
         let mut failed = Vec::new();
         for address in addresses {
             let named = timeout(patience, inquire(address, patience)).await;
@@ -141,8 +112,8 @@ impl Client {
     }
 
     /// Without a transport key, to read the chain. `name` is only for the gateway's log.
-    pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
-        let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
+    pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self> {
+        let mut client = Self::open(endpoint, trust, (name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
         client.ping().await?;
         client.line.decoder.raise_cap();
@@ -150,7 +121,7 @@ impl Client {
     }
 
     /// Passes a JSON-RPC request to the chain; the answer is the gateway's word.
-    pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
+    pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed> {
         let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
         if call.parameters.len() > LONGEST_PARAMETERS {
             return Err(GatewayError::TooLarge(call.parameters.len()));
@@ -179,19 +150,19 @@ impl Client {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
 
-    pub async fn ping(&mut self) -> Result<Timestamp, GatewayError> {
+    pub async fn ping(&mut self) -> Result<Timestamp> {
         let Answer::Time(time) = self.ask(&Request::Ping).await? else { return unexpected("no time") };
         Ok(time)
     }
 
     /// Not yet checked.
-    pub async fn system_keys(&mut self) -> Result<SystemKeyList, GatewayError> {
+    pub async fn system_keys(&mut self) -> Result<SystemKeyList> {
         let Answer::SystemKeys(bytes) = self.ask(&Request::SystemKeys).await? else { return unexpected("no list") };
         SystemKeyList::parse(&bytes).map_err(GatewayError::malformed("list of system keys"))
     }
 
     /// The receipt covers all of them.
-    pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
+    pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt> {
         let provider = self.endpoint.context.provider;
         let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
         let request = match uploads.len() {
@@ -202,7 +173,7 @@ impl Client {
     }
 
     /// At most 64 records that the session's owner had erased; returns the gateway's statement about each.
-    pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
+    pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
             Answer::Erasures(outcomes) if outcomes.len() == count => Ok(outcomes),
@@ -212,13 +183,13 @@ impl Client {
 
     /// Bytes match the digest, the signature is by the record's key. The reader must check key and anchor on the chain.
     /// `Erased` comes unchecked.
-    pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
+    pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched> {
         let found = self.records(std::slice::from_ref(digest)).await?.pop();
         found.unwrap_or(Err(GatewayError::Unexpected("no record")))
     }
 
     /// Checks the signature; proofs are up to the caller.
-    pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage, GatewayError> {
+    pub async fn feed(&mut self, asked: &Feed) -> Result<FeedPage> {
         let (number, context) = (self.send(&Request::Feed(asked.clone())).await?, self.endpoint.context);
         let answer = self.answer_within(number, self.endpoint.patience + asked.wait).await?;
         let Answer::Feed(page) = answer else { return unexpected("no page of the feed") };
@@ -228,7 +199,7 @@ impl Client {
 
     /// At least the first of these records. Bytes match digests, signatures are by the records' keys; the reader must
     /// check keys and anchors on the chain. `Erased` comes unchecked.
-    pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched, GatewayError>>, GatewayError> {
+    pub async fn records(&mut self, digests: &[Digest]) -> Result<Vec<Result<Fetched>>> {
         let found = self.found(digests, true).await?;
         let each = found.into_iter().zip(digests).map(|(found, digest)| match found {
             Found::Held(record) => self.checked(record, digest),
@@ -240,7 +211,7 @@ impl Client {
     }
 
     /// What the gateway does not have for this session, and why.
-    pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>, GatewayError> {
+    pub async fn missing(&mut self, digests: &[Digest]) -> Result<Vec<(Digest, Code)>> {
         let mut missing = Vec::new();
         let mut left = digests;
         while !left.is_empty() {
@@ -255,7 +226,7 @@ impl Client {
         Ok(missing)
     }
 
-    async fn found(&mut self, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, GatewayError> {
+    async fn found(&mut self, digests: &[Digest], bytes: bool) -> Result<Vec<Found>> {
         let digests = &digests[..digests.len().min(MOST_DIGESTS)];
         match self.ask(&Request::Records(bytes, digests.to_vec())).await? {
             Answer::Records(found) if (1..=digests.len()).contains(&found.len()) => Ok(found),
@@ -263,30 +234,30 @@ impl Client {
         }
     }
 
-    fn checked(&self, record: Fetched, digest: &Digest) -> Result<Fetched, GatewayError> {
+    fn checked(&self, record: Fetched, digest: &Digest) -> Result<Fetched> {
         let provider = self.endpoint.context.provider;
         check(provider, &record.blob, &record.signature, &record.signer, Anchor::Chain(*digest))?;
         Ok(record)
     }
 
     /// Signed by d_C.
-    pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt, GatewayError> {
+    pub async fn grant(&mut self, signing: &SmKeyPair, notice: GrantNotice) -> Result<Receipt> {
         self.signed(signing, &Request::Notice(Notice::Grant(notice))).await
     }
 
     /// Signed by d_C; takes effect immediately.
-    pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt, GatewayError> {
+    pub async fn revoke(&mut self, signing: &SmKeyPair, notice: RevokeNotice) -> Result<Receipt> {
         self.signed(signing, &Request::Notice(Notice::Revoke(notice))).await
     }
 
     /// Signed by d_C: this session's name belongs to a device that is lent on the chain.
-    pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
+    pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt> {
         self.signed(signing, &Request::Notice(Notice::Device(notice))).await
     }
 }
 
-/// Own address (`None` = any), N, and K_T if there is one.
-type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
+/// N, and K_T if there is one.
+type Who<'a> = (&'a ProfileName, Option<&'a TransportKey>);
 
 /// A silent address must not use up the time of the others.
 async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::Result<TcpStream> {
@@ -308,27 +279,22 @@ async fn dial(source: Option<IpAddr>, address: &str, patience: Duration) -> io::
     Err(failed)
 }
 
-async fn hello(
-    endpoint: &Endpoint,
-    address: &str,
-    trust: &mut Trust,
-    (source, name, key): Who<'_>,
-) -> Result<(Line, Agreed, Session), GatewayError> {
-    let stream = dial(source, address, endpoint.patience).await.map_err(|source| unreachable(address, source))?;
+async fn hello(at: &Endpoint, place: &str, trust: &mut Trust, (name, key): Who<'_>) -> Result<(Line, Agreed, Session)> {
+    let stream = dial(at.source, place, at.patience).await.map_err(|source| unreachable(place, source))?;
     let mut line = Line::new(stream);
-    let hello = ClientHello::begin(endpoint.context)?;
-    let send = |error| line_error(address, error);
-    line.send(FrameKind::Hello, &hello.encode(), endpoint.patience).await.map_err(send)?;
+    let hello = ClientHello::begin(at.context)?;
+    let send = |error| line_error(place, error);
+    line.send(FrameKind::Hello, &hello.encode(), at.patience).await.map_err(send)?;
     let (kind, payload) = line.frame().await.map_err(send)?;
     let hello = hello.agree(&expected(kind, payload, FrameKind::Answer)?)?;
     let agreed = *hello.agreed();
     trust.judge(&agreed)?;
     let (identify, session) = hello.identify(name, key)?;
-    line.send(FrameKind::Identify, &identify, endpoint.patience).await.map_err(send)?;
+    line.send(FrameKind::Identify, &identify, at.patience).await.map_err(send)?;
     Ok((line, agreed, session))
 }
 
-async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
+async fn inquire(address: &str, patience: Duration) -> Result<NetworkName> {
     let stream = dial(None, address, patience).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let send = |error| line_error(address, error);
@@ -338,7 +304,7 @@ async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, Gatew
     NetworkName::parse(&payload).map_err(GatewayError::malformed("network"))
 }
 
-fn unexpected<T>(what: &'static str) -> Result<T, GatewayError> {
+fn unexpected<T>(what: &'static str) -> Result<T> {
     Err(GatewayError::Unexpected(what))
 }
 
@@ -356,7 +322,7 @@ fn line_error(address: &str, error: LineError) -> GatewayError {
 }
 
 /// The payload of the wanted kind, or the refusal in clear.
-fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>, GatewayError> {
+fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>> {
     if kind == wanted {
         return Ok(payload);
     }
@@ -369,7 +335,7 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
 impl Client {
     /// Returns the request's number for [`Self::receive`]. Read answers regularly: a gateway closes a connection whose
     /// peer does not read.
-    pub async fn send(&mut self, request: &Request) -> Result<u32, GatewayError> {
+    pub async fn send(&mut self, request: &Request) -> Result<u32> {
         let body = request.encode();
         if body.len() > LARGEST_MESSAGE {
             return Err(GatewayError::TooLarge(body.len()));
@@ -386,7 +352,7 @@ impl Client {
         self.requests
     }
 
-    async fn send_text(&mut self, text: &[u8]) -> Result<(), GatewayError> {
+    async fn send_text(&mut self, text: &[u8]) -> Result<()> {
         let payload = self.session.seal(text)?;
         let sent = self.line.send(FrameKind::Transfer, &payload, self.endpoint.patience).await;
         let Err(error) = sent else { return Ok(()) };
@@ -398,13 +364,13 @@ impl Client {
     }
 
     /// The next answer, to any request; cancel-safe.
-    pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer), GatewayError> {
+    pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer)> {
         let message = timeout(patience, self.message()).await.map_err(|_| GatewayError::TimedOut)??;
         let answer = Answer::parse(message.command, &message.body).map_err(GatewayError::malformed("answer"))?;
         Ok((message.request, answer))
     }
 
-    async fn message(&mut self) -> Result<Message<()>, GatewayError> {
+    async fn message(&mut self) -> Result<Message<()>> {
         loop {
             let (kind, payload) = self.line.frame().await.map_err(|error| line_error(&self.address, error))?;
             let payload = expected(kind, payload, FrameKind::Transfer)?;
@@ -416,11 +382,11 @@ impl Client {
         }
     }
 
-    async fn answer_to(&mut self, request: u32) -> Result<Answer, GatewayError> {
+    async fn answer_to(&mut self, request: u32) -> Result<Answer> {
         self.answer_within(request, self.endpoint.patience).await
     }
 
-    async fn answer_within(&mut self, request: u32, patience: Duration) -> Result<Answer, GatewayError> {
+    async fn answer_within(&mut self, request: u32, patience: Duration) -> Result<Answer> {
         match self.receive(patience).await? {
             (number, _) if number != request => Err(GatewayError::Unexpected("an answer out of order")),
             (_, Answer::Refused(code)) => Err(GatewayError::Refused(code)),
@@ -429,27 +395,27 @@ impl Client {
         }
     }
 
-    async fn ask(&mut self, request: &Request) -> Result<Answer, GatewayError> {
+    async fn ask(&mut self, request: &Request) -> Result<Answer> {
         let number = self.send(request).await?;
         let answer = self.answer_to(number).await?;
         if answer.command() == request.command() { Ok(answer) } else { unexpected("another command") }
     }
 
     /// A receipt must cover exactly these digests.
-    async fn acknowledged(&mut self, request: &Request, digests: &[Digest]) -> Result<Receipt, GatewayError> {
+    async fn acknowledged(&mut self, request: &Request, digests: &[Digest]) -> Result<Receipt> {
         let Answer::Receipt(_, receipt) = self.ask(request).await? else { return unexpected("no receipt") };
         self.verified(receipt, digests)
     }
 
     /// Checks that a receipt is by this gateway, for this network, over these digests.
-    pub fn verified(&self, receipt: Receipt, digests: &[Digest]) -> Result<Receipt, GatewayError> {
+    pub fn verified(&self, receipt: Receipt, digests: &[Digest]) -> Result<Receipt> {
         let context = &self.endpoint.context;
         receipt.verify(context.provider, &context.domain, &self.agreed.gateway_key)?;
         if receipt.digests == digests { Ok(receipt) } else { Err(GatewayError::Receipt("what was sent")) }
     }
 
     /// d_C signs for this very frame.
-    async fn signed(&mut self, signing: &SmKeyPair, request: &Request) -> Result<Receipt, GatewayError> {
+    async fn signed(&mut self, signing: &SmKeyPair, request: &Request) -> Result<Receipt> {
         let (context, command, body) = (self.endpoint.context, request.command(), request.encode());
         let digest = Digest(context.provider.sm3(&[&body]));
         let counter = self.session.next_counter();

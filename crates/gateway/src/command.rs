@@ -1,17 +1,14 @@
 //! ND2: the request or answer in one frame, laid out in PROTOCOL.md. Only the first part has token and signature.
 
-pub mod answer;
-pub mod relay;
-pub mod request;
+pub mod messages;
 
-pub use answer::{Answer, Fetched, Found};
-pub use relay::{RelayCall, Relayed};
-pub use request::{DeviceNotice, GrantNotice, Notice, Request, RevokeNotice, Upload};
+pub use messages::{
+    Answer, DeviceNotice, Fetched, Found, GrantNotice, Notice, RelayCall, Relayed, Request, RevokeNotice, Upload,
+};
 
 use crate::crypto::{AccountSignature, ErasedStatement};
-use crate::model::layout;
 use crate::model::wire::{Reader, Wire, WireError, put_list, read_list};
-use crate::model::{Address, Digest, Domain, Header, Signature, SignerId, Token};
+use crate::model::{Address, Digest, Domain, Header, Signature, SignerId, Token, layout};
 use crate::session::{LONGEST_TEXT, SessionId};
 
 /// In bytes of body, over all parts: a record of 64 MiB with head and header.

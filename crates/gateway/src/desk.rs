@@ -6,16 +6,14 @@ use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::watch;
 
+use crate::command::{ErasureNotice, ErasureOutcome, Found, Notice};
 use crate::crypto::{SealedRecord, TransportKey};
-use crate::model::relay::RelayError;
+use crate::error::{Code, Refusal, Result};
+use crate::feed::{Feed, FeedPage};
 use crate::model::{
     Address, Digest, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
-
-use super::command::{ErasureNotice, ErasureOutcome, Found, Notice};
-use super::error::{Code, Refusal, Result};
-use super::feed::{Feed, FeedPage};
-use super::hello::NetworkName;
+use crate::{hello::NetworkName, model::relay::RelayError};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Account {

@@ -2,10 +2,8 @@
 
 use std::fmt;
 
-use crate::command::ErasedRecord;
-use crate::crypto::CryptoError;
-use crate::model::wire::WireError;
 use crate::model::{Address, ErrorKind, SignerId, Timestamp};
+use crate::{command::ErasedRecord, crypto::CryptoError, model::wire::WireError};
 
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {

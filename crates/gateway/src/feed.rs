@@ -3,14 +3,12 @@
 
 use std::time::Duration;
 
-use crate::command::answer::LONGEST_PROOF;
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
-use crate::error::Code;
-use crate::model::layout;
 use crate::model::wire::{Reader, Wire as _, WireError, put_list, read_list};
 use crate::model::{
-    Address, Digest, Domain, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId,
+    Address, Digest, Domain, Fact, Hash, PublicKey, RecordKind, RecorderId, Signature, Timestamp, TopicId, layout,
 };
+use crate::{command::messages::LONGEST_PROOF, error::Code};
 
 /// With their proofs they fit into one frame.
 pub const MOST_ENTRIES: usize = 256;

@@ -3,9 +3,8 @@
 
 use std::time::Duration;
 
-use tokio::io::AsyncWriteExt as _;
-use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout, timeout_at};
+use tokio::{io::AsyncWriteExt as _, net::TcpStream};
 
 use crate::command::{Command, Inner, LARGEST_MESSAGE, LARGEST_PART, Part};
 use crate::error::{Code, Refusal, Result};

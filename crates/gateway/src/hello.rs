@@ -5,9 +5,8 @@ use zeroize::Zeroizing;
 use crate::crypto::kdf::{Info, key_and_nonce};
 use crate::crypto::{Ephemeral, Provider, SmKeyPair, TransportKey, domain, random_bytes, signer_id};
 use crate::error::{Code, GatewayError, Refusal, Result};
-use crate::model::layout;
 use crate::model::wire::{Reader, Wire as _, WireError};
-use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature, SignerId};
+use crate::model::{Address, Digest, Domain, Hash, ProfileName, PublicKey, Signature, SignerId, layout};
 use crate::session::{Session, SessionId, SessionKeys, Side};
 
 pub const VERSION: u8 = 1;

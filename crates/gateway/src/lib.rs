@@ -1,6 +1,7 @@
 //! The gateway's protocol, version 1 (every byte is in PROTOCOL.md): state machines without I/O, then server and
 //! client.
 
+#[cfg(test)]
 use crate as gateway;
 use authros_crypto as crypto;
 use authros_model as model;
@@ -42,7 +43,6 @@ pub mod error;
 pub mod feed;
 pub mod frame;
 pub mod hello;
-pub mod identity_check;
 pub mod limits;
 pub mod receipt;
 pub mod server;

@@ -1,10 +1,8 @@
 //! The gateway's server over TCP; the desk decides what commands do.
 
-use std::collections::BTreeMap;
-use std::io;
-use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
+use std::{collections::BTreeMap, io, net::SocketAddr};
 
 use tokio::net::{TcpListener, TcpStream, ToSocketAddrs};
 use tokio::sync::watch;
@@ -12,14 +10,11 @@ use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use crate::connection::{Shared, serve};
-use crate::crypto::signer_id;
-use crate::desk::Desk;
-use crate::error::Code;
 use crate::frame::{FrameKind, Line, encode};
-use crate::hello::Context;
 use crate::limits::{Limits, Peers};
 use crate::model::{Address, ProfileName, SignerId, Timestamp};
 use crate::system_keys::{Cabinet, SystemKeyList};
+use crate::{crypto::signer_id, desk::Desk, error::Code, hello::Context};
 
 /// Between checks of the system keys' schedule.
 const ROTATION: Duration = Duration::from_secs(10);

@@ -6,13 +6,10 @@ use std::time::{Duration, Instant};
 
 use zeroize::Zeroizing;
 
-use crate::crypto::Provider;
 use crate::crypto::kdf::{Info, key_and_nonce};
-use crate::model::bytes::hex;
-use crate::model::wire::Reader;
-
-use super::error::{Code, Refusal, Result};
-use super::frame::{CAP_AFTER, FrameKind};
+use crate::error::{Code, Refusal, Result};
+use crate::frame::{CAP_AFTER, FrameKind};
+use crate::{crypto::Provider, model::bytes::hex, model::wire::Reader};
 
 /// Of one direction.
 pub const MOST_FRAMES: u64 = 1 << 24;

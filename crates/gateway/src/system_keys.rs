@@ -1,19 +1,17 @@
 //! k_s: the system keys for key allocation, in a signed, versioned list that expires. One key is current, one is next.
 
-mod shelf;
+use std::fs::{self, OpenOptions};
+use std::path::{Path, PathBuf};
+use std::{io::Write as _, time::Duration};
 
-use std::path::Path;
-use std::time::Duration;
+use zeroize::Zeroizing;
 
-use crate::crypto::private_file::make_private_directory;
+use crate::crypto::private_file::{create_private, make_private_directory, read_private, write_private};
 use crate::crypto::{CryptoError, Provider, SmKeyPair, SmSecret, signer_id};
-use crate::error::GatewayError;
-use crate::hello::{Agreed, ListSummary};
-use crate::model::wire::{Reader, WireError};
-use crate::model::{Digest, Domain, ErrorKind, PublicKey, Signature, SignerId, Timestamp};
-
-use self::shelf::Folder;
-pub use self::shelf::{Kept, Shelf};
+use crate::hello::{Agreed, Context, ListSummary};
+use crate::model::wire::{Reader, Wire as _, WireError, read_list};
+use crate::model::{Digest, Domain, ErrorKind, PublicKey, Signature, SignerId, Timestamp, layout};
+use crate::{crypto::error::shown, error::GatewayError};
 
 const MAGIC: [u8; 8] = *b"\x89AuthSys";
 const VERSION: u8 = 1;
@@ -56,8 +54,7 @@ pub struct SystemKeyList {
 
 impl SystemKeyList {
     pub fn sign(
-        provider: &dyn Provider,
-        domain: Domain,
+        Context { provider, domain }: Context,
         identity: &SmKeyPair,
         version: u64,
         (issued_at, expires_at): (Timestamp, Timestamp),
@@ -120,15 +117,10 @@ impl SystemKeyList {
     }
 
     /// Must be the hello's list, signed by that gateway for this network, not expired. Returns the key in use.
-    pub fn check(
-        &self,
-        provider: &dyn Provider,
-        domain: &Domain,
-        agreed: &Agreed,
-        now: Timestamp,
-    ) -> Result<SystemKey, GatewayError> {
+    pub fn check(&self, context: Context, agreed: &Agreed, now: Timestamp) -> Result<SystemKey, GatewayError> {
+        let Context { provider, domain } = context;
         let refuse = |why| Err(GatewayError::List(why));
-        if self.domain != *domain {
+        if self.domain != domain {
             return refuse("it is of another network");
         }
         if self.gateway != agreed.gateway {
@@ -200,8 +192,7 @@ const ATTEMPTS: usize = 10;
 
 pub struct Cabinet {
     shelf: Box<dyn Shelf>,
-    provider: &'static dyn Provider,
-    domain: Domain,
+    context: Context,
     schedule: Schedule,
     identity: SmKeyPair,
     kept: Kept,
@@ -214,29 +205,26 @@ impl Cabinet {
     /// is stored elsewhere.
     pub fn open(
         directory: &Path,
-        provider: &'static dyn Provider,
-        domain: Domain,
+        context: Context,
         identity: SmKeyPair,
         schedule: Schedule,
         now: Timestamp,
     ) -> Result<Self, GatewayError> {
         make_private_directory(directory)?;
-        Self::on(Box::new(Folder(directory.to_owned())), provider, domain, identity, schedule, now)
+        Self::on(Box::new(Folder(directory.to_owned())), context, identity, schedule, now)
     }
 
     /// The same on any shelf.
     pub fn on(
-        shelf: Box<dyn Shelf>,
-        provider: &'static dyn Provider,
-        domain: Domain,
+        mut shelf: Box<dyn Shelf>,
+        context: Context,
         identity: SmKeyPair,
         schedule: Schedule,
         now: Timestamp,
     ) -> Result<Self, GatewayError> {
-        // The first one is published as every next one is.
-        let kept = Kept { list: sign_list(provider, domain, &identity, 0, now, Vec::new())?, keys: Vec::new() };
-        let mut cabinet = Self { shelf, provider, domain, schedule, identity, kept, shown: 0 };
-        cabinet.load()?;
+        let kept = load(&mut *shelf, context, &identity)?;
+        let shown = kept.list.version;
+        let mut cabinet = Self { shelf, context, schedule, identity, kept, shown };
         // Clients refuse the older list of a restored home, which cannot know: each opening signs a newer version.
         cabinet.settle(now, true)?;
         Ok(cabinet)
@@ -244,7 +232,7 @@ impl Cabinet {
 
     /// Whose list is in a directory; `None` without a readable one.
     pub fn founded_in(directory: &Path) -> Option<SignerId> {
-        shelf::list_in(directory).ok().flatten().map(|list| list.gateway)
+        list_in(directory).ok().flatten().map(|list| list.gateway)
     }
 
     pub fn identity(&self) -> &SmKeyPair {
@@ -273,18 +261,8 @@ impl Cabinet {
         self.settle(now, false)
     }
 
-    /// Checks that the list is intact, of this gateway and this network.
     fn load(&mut self) -> Result<(), GatewayError> {
-        self.kept = match self.shelf.read()? {
-            Some(kept) if kept.list.domain != self.domain => {
-                return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" }.into());
-            }
-            Some(kept) => {
-                self.provider.verify(&self.identity.public, &kept.list.signed_bytes(), &kept.list.signature)?;
-                kept
-            }
-            None => Kept { list: self.signed(0, Timestamp(0), Vec::new())?, keys: Vec::new() },
-        };
+        self.kept = load(&mut *self.shelf, self.context, &self.identity)?;
         self.shown = self.shown.max(self.kept.list.version);
         Ok(())
     }
@@ -320,7 +298,7 @@ impl Cabinet {
         let mut listed: Vec<SystemKey> = list.keys.iter().copied().filter(|key| now < key.not_after).collect();
         while listed.len() < MOST_KEYS {
             let not_before = listed.last().map_or(now, |key| key.not_after);
-            let pair = SmKeyPair::generate(self.provider)?;
+            let pair = SmKeyPair::generate(self.context.provider)?;
             let not_after = after(not_before, self.schedule.lifetime);
             let key = SystemKey { public: pair.public, not_before, not_after };
             listed.push(key);
@@ -328,25 +306,173 @@ impl Cabinet {
         }
         // The seconds keep versions increasing even if the list was lost with its file.
         let version = (list.version.max(self.shown) + 1).max(now.seconds());
-        Ok(Some(Kept { list: self.signed(version, now, listed)?, keys: held }))
-    }
-
-    fn signed(&self, version: u64, now: Timestamp, keys: Vec<SystemKey>) -> Result<SystemKeyList, CryptoError> {
-        sign_list(self.provider, self.domain, &self.identity, version, now, keys)
+        // The list lasts as long as its last key.
+        let dates = (now, listed.last().map_or(now, |key| key.not_after));
+        let list = SystemKeyList::sign(self.context, &self.identity, version, dates, listed)?;
+        Ok(Some(Kept { list, keys: held }))
     }
 }
 
-/// The list lasts as long as its last key.
-fn sign_list(
-    provider: &dyn Provider,
-    domain: Domain,
-    identity: &SmKeyPair,
-    version: u64,
-    now: Timestamp,
-    keys: Vec<SystemKey>,
-) -> Result<SystemKeyList, CryptoError> {
-    let expires_at = keys.last().map_or(now, |key| key.not_after);
-    SystemKeyList::sign(provider, domain, identity, version, (now, expires_at), keys)
+/// Checks that the list is intact, of this gateway and this network. The first one is published as every next one is.
+fn load(shelf: &mut dyn Shelf, context: Context, identity: &SmKeyPair) -> Result<Kept, GatewayError> {
+    let Some(kept) = shelf.read()? else {
+        let list = SystemKeyList::sign(context, identity, 0, (Timestamp(0), Timestamp(0)), Vec::new())?;
+        return Ok(Kept { list, keys: Vec::new() });
+    };
+    if kept.list.domain != context.domain {
+        return Err(CryptoError::NotAccepted { what: "list of system keys", field: "network" }.into());
+    }
+    context.provider.verify(&identity.public, &kept.list.signed_bytes(), &kept.list.signature)?;
+    Ok(kept)
+}
+
+// Where the list of system keys and their secrets lie: in a folder of a home, or with all workers of a gateway.
+
+/// Secrets kept at once: the listed ones, and retired ones of several schedules.
+const MOST_SECRETS: usize = 16;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Kept {
+    pub list: SystemKeyList,
+    /// Listed ones, and retired ones in their grace period.
+    pub keys: Vec<(SystemKey, SmSecret)>,
+}
+
+struct KeptSecret {
+    not_before: Timestamp,
+    not_after: Timestamp,
+    pair: SmKeyPair,
+}
+
+layout!(KeptSecret { not_before: "not before", not_after: "not after", pair: "system key" });
+
+impl Kept {
+    /// d_S that still opens allocations, `grace` after its end at most.
+    pub fn secret(&self, id: &SignerId, now: Timestamp, grace: Duration) -> Option<&SmSecret> {
+        let key = self.keys.iter().find(|(key, _)| key.id() == *id);
+        key.filter(|(key, _)| now < after(key.not_after, grace)).map(|(_, secret)| secret)
+    }
+
+    /// The secrets alone: count (1), then not before (8), not after (8) and d_S (32) each.
+    pub fn secrets(&self) -> Zeroizing<Vec<u8>> {
+        let keys = &self.keys[..self.keys.len().min(MOST_SECRETS)];
+        // Reserved in one piece, with room for a tag: growing the buffer would leave unwiped copies behind.
+        let mut out = Zeroizing::new(Vec::with_capacity(1 + 48 * keys.len() + 16));
+        u8::try_from(keys.len()).unwrap_or_default().put(&mut out);
+        for (SystemKey { not_before, not_after, .. }, secret) in keys {
+            (*not_before, *not_after).put(&mut out);
+            out.extend_from_slice(secret.expose());
+        }
+        out
+    }
+
+    /// From a list and secrets, which have those of all its keys.
+    pub fn parse(list: &[u8], secrets: &[u8]) -> Result<Self, WireError> {
+        let list = SystemKeyList::parse(list)?;
+        let mut reader = Reader::new(secrets);
+        let fields = ("number of system keys", "system key");
+        let secrets: Vec<KeptSecret> = read_list::<u8, _>(&mut reader, 0..=MOST_SECRETS, fields)?;
+        reader.end()?;
+        let key = |KeptSecret { not_before, not_after, pair }| {
+            let SmKeyPair { public, secret } = pair;
+            (SystemKey { public, not_before, not_after }, secret)
+        };
+        let keys: Vec<(SystemKey, SmSecret)> = secrets.into_iter().map(key).collect();
+        let is_there = |listed: &SystemKey| keys.iter().any(|(key, _)| key == listed);
+        if !list.keys.iter().all(is_there) {
+            return Err(WireError::Value("system key"));
+        }
+        Ok(Self { list, keys })
+    }
+}
+
+pub trait Shelf: Send {
+    /// `None` if there is nothing yet.
+    fn read(&mut self) -> Result<Option<Kept>, GatewayError>;
+
+    /// Replaces what was read, and erases the secrets of other keys. `false` if another worker was first, and nothing is
+    /// changed.
+    fn write(&mut self, kept: &Kept) -> Result<bool, GatewayError>;
+
+    /// Whether several workers have it.
+    fn is_shared(&self) -> bool;
+}
+
+const LIST: &str = "system-keys.list";
+const SYSTEM_KEY: &str = "system-";
+const SUFFIX: &str = ".key";
+const LONGEST_LIST: usize = 1024;
+
+/// Of one home.
+pub(super) struct Folder(pub PathBuf);
+
+impl Shelf for Folder {
+    fn read(&mut self) -> Result<Option<Kept>, GatewayError> {
+        let Some(list) = list_in(&self.0)? else { return Ok(None) };
+        let secret = |key: &SystemKey| Ok::<_, CryptoError>((*key, read_secret(&self.path(key))?));
+        let keys = list.keys.iter().map(secret).collect::<Result<_, CryptoError>>()?;
+        Ok(Some(Kept { list, keys }))
+    }
+
+    /// New keys before the list that names them; unlisted ones are from a crash in between, or were retired while the gateway
+    /// was down.
+    fn write(&mut self, kept: &Kept) -> Result<bool, GatewayError> {
+        for (key, secret) in &kept.keys {
+            let path = self.path(key);
+            if !path.exists() {
+                create_private(&path, secret.expose())?;
+            }
+        }
+        write_private(&self.0.join(LIST), &kept.list.encode())?;
+        let known: Vec<PathBuf> = kept.keys.iter().map(|(key, _)| self.path(key)).collect();
+        let entries = fs::read_dir(&self.0).map_err(CryptoError::read(&self.0))?;
+        for path in entries.flatten().map(|entry| entry.path()) {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            if name.starts_with(SYSTEM_KEY) && name.ends_with(SUFFIX) && !known.contains(&path) {
+                erase(&path)?;
+            }
+        }
+        Ok(true)
+    }
+
+    fn is_shared(&self) -> bool {
+        false
+    }
+}
+
+impl Folder {
+    fn path(&self, key: &SystemKey) -> PathBuf {
+        self.0.join(format!("{SYSTEM_KEY}{}{SUFFIX}", &key.id().to_hex()[..32]))
+    }
+}
+
+/// Checks only the form.
+pub(super) fn list_in(directory: &Path) -> Result<Option<SystemKeyList>, CryptoError> {
+    let path = directory.join(LIST);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let list = SystemKeyList::parse(&read_private(&path, LONGEST_LIST)?);
+    list.map(Some).map_err(CryptoError::malformed("list of system keys"))
+}
+
+fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {
+    let bytes: Zeroizing<Vec<u8>> = read_private(path, 32)?;
+    SmSecret::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
+        path: shown(path),
+        wanted: "an SM2 private key of 32 bytes",
+        found: "it is damaged; restore it, or remove it together with the list to start over".to_owned(),
+    })
+}
+
+/// Overwrites a key before its removal. Journals and flash may keep copies: an encrypted disk prevents that.
+fn erase(path: &Path) -> Result<(), CryptoError> {
+    let write = CryptoError::write(path);
+    let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;
+    file.write_all(&[0; 32]).and_then(|()| file.sync_all()).map_err(&write)?;
+    fs::remove_file(path).map_err(&write)?;
+    let directory = path.parent().unwrap_or(path);
+    fs::File::open(directory).and_then(|directory| directory.sync_all()).map_err(&write)
 }
 
 #[cfg(test)]

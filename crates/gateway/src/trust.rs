@@ -6,13 +6,10 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
-use crate::crypto::CryptoError;
-use crate::crypto::error::shown;
 use crate::crypto::private_file::{change_private, read_private};
+use crate::hello::{Agreed, ListSummary};
 use crate::model::{Digest, SignerId};
-
-use super::error::GatewayError;
-use super::hello::{Agreed, ListSummary};
+use crate::{crypto::CryptoError, crypto::error::shown, error::GatewayError};
 
 const LONGEST: usize = 4096;
 

@@ -6,8 +6,7 @@ pub mod write;
 
 use std::io::{Read, Write};
 
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use serde::{Serialize, de::DeserializeOwned};
 
 /// A child and a site of different versions part.
 pub const VERSION: u32 = 1;

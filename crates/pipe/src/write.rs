@@ -3,8 +3,7 @@
 use std::io::Read;
 use std::sync::mpsc::{Receiver, sync_channel};
 
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::receive;
 

@@ -8,12 +8,10 @@ use tokio::task::block_in_place;
 use crate::chain::merkle::{Leaf, MOST_LEAVES, Tree};
 use crate::chain::{Call, ChainError, Priced, Shortfall};
 use crate::crypto::{CryptoError, EoaSecret, anchoring_secret, fault, prove, random_bytes};
-use crate::directory::kept;
 use crate::model::{Address, AnchorMode, Domain, RecordState, Timestamp, Token, Wei};
 use crate::pace::{LONGEST_WAIT, Pace};
-use crate::sender::Outgoing;
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
-use crate::{Network, Owner, PipelineError, Plant, Result, Sender, authority};
+use crate::{Network, Owner, PipelineError, Plant, Result, Sender, authority, directory::kept, sender::Outgoing};
 
 /// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;

@@ -4,12 +4,10 @@
 use std::time::Duration;
 
 use crate::model::{Address, AuditHead, Digest, RecordKind, Timestamp};
+use crate::statement::{self, Statement};
 use crate::store::notes::{StatedAuditHead, StatedHead};
 use crate::store::{AuditLog, Notes, RecordQuery, RecordRow, StoreError};
-
-use super::reader::Reader;
-use super::statement::{self, Statement};
-use super::{Network, Owner, PipelineError, Plant, Result};
+use crate::{Network, Owner, PipelineError, Plant, Result, reader::Reader};
 
 pub(super) const TOPIC: &str = "authros/audit";
 /// How many of the newest heads are opened for a check; each covers all lines below it.

@@ -4,11 +4,10 @@
 use tokio::task::block_in_place;
 
 use crate::chain::{BlockRef, QueryAnswer};
-use crate::crypto::signer_id;
 use crate::directory::{Account, Directory, Granted, Lending, kept};
 use crate::model::{Address, PublicKey, Scope, SignerId, Timestamp, TopicId, counted};
 use crate::store::{RecordRow, StoreError, WaitingSigner};
-use crate::{Network, PipelineError, Plant, Result};
+use crate::{Network, PipelineError, Plant, Result, crypto::signer_id};
 
 /// Whether the contract lets `reader` read `owner`'s epoch. `None` without a token of that epoch, or without a chain.
 /// [`PipelineError::Contradicted`] if the answer differs from what the events say.

@@ -2,16 +2,16 @@
 //! and kept with the headers: a bundle made years later needs no node that keeps old states.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, PoisonError};
 
 use authros_evidence::{BlockHeader, Nodes, Slot, Storage};
-use tokio::task::block_in_place;
+use tokio::{runtime::Handle, task::block_in_place};
 
-use crate::chain::{AnchorProof, Chain, ChainError, Event};
-use crate::crypto::fault;
+use crate::chain::{AnchorProof, Chain, ChainError, Event, EventAt};
 use crate::crypto::merkle::{Inclusion, KnownPaths, Leaf};
-use crate::model::{Address, Hash, SignerId};
+use crate::model::{Address, Hash, SignerId, Timestamp};
 use crate::store::{BatchPlace, PlacedRecord, RecordRow, UnprovenBatch};
-use crate::{Network, Plant, Result};
+use crate::{Network, PipelineError, Plant, Result, crypto::fault};
 
 /// Batches per round: each block costs the node two requests.
 const AT_ONCE: usize = 64;
@@ -296,4 +296,68 @@ pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>> {
         sighted.push(row.block.is_some() && leads);
     }
     Ok(sighted)
+}
+
+// Times of blocks: included with the events if the node does so, otherwise requested from the chain, and cached.
+
+/// The most times cached.
+const MOST: usize = 16_384;
+
+pub struct BlockTimes {
+    known: Mutex<BTreeMap<u64, Timestamp>>,
+    /// The runtime on which threads outside it can query the chain.
+    runtime: Option<Handle>,
+}
+
+impl Default for BlockTimes {
+    fn default() -> Self {
+        Self { known: Mutex::default(), runtime: Handle::try_current().ok() }
+    }
+}
+
+impl BlockTimes {
+    pub(super) fn note(&self, at: &EventAt) {
+        if let Some(time) = at.timestamp {
+            self.keep(at.block, Timestamp::from_seconds(time));
+        }
+    }
+
+    fn keep(&self, block: u64, time: Timestamp) {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.len() >= MOST && !known.contains_key(&block) {
+            known.pop_first();
+        }
+        known.insert(block, time);
+    }
+
+    /// Blocks from this one on were replaced.
+    pub(super) fn forget_from(&self, block: u64) {
+        drop(self.known.lock().unwrap_or_else(PoisonError::into_inner).split_off(&block));
+    }
+
+    fn of(&self, block: u64) -> Option<Timestamp> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(&block).copied()
+    }
+}
+
+impl Network {
+    /// As stated by the block's maker. Asks the chain if unknown; `Unsteady` if there is no such block (any more).
+    pub fn time_of(&self, block: u64) -> Result<Timestamp> {
+        if let Some(time) = self.times.of(block) {
+            return Ok(time);
+        }
+        let runtime = self.times.runtime.as_ref().ok_or(PipelineError::Unsteady)?;
+        block_in_place(|| runtime.block_on(self.ask_time(block)))
+    }
+
+    /// Same, for tasks.
+    pub async fn ask_time(&self, block: u64) -> Result<Timestamp> {
+        if let Some(time) = self.times.of(block) {
+            return Ok(time);
+        }
+        let found = self.chain.block(block).await?.ok_or(PipelineError::Unsteady)?;
+        let time = Timestamp::from_seconds(found.timestamp);
+        self.times.keep(block, time);
+        Ok(time)
+    }
 }

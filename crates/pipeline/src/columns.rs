@@ -2,21 +2,16 @@
 //! its key is here. A row that differs is shown with the record's values, never as verified; names in a head that do
 //! not belong to the pseudonyms in the header are not shown.
 
-use std::borrow::Cow;
-use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::{borrow::Cow, collections::HashMap};
 
 use serde::{Deserialize, Serialize};
 
-use crate::crypto::record::open_front;
 use crate::crypto::{CryptoError, IndexKey, Names, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
-use crate::model::bytes::hex;
-use crate::model::head::SIMULATED;
-use crate::model::header::TAG_LENGTH;
 use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderPrefix};
 use crate::store::{FilterChoice, PlacedRecord, RecordRow, StoreError};
-
-use super::{Plant, chain_proofs};
+use crate::{Plant, chain_proofs};
+use crate::{crypto::record::open_front, model::bytes::hex, model::head::SIMULATED, model::header::TAG_LENGTH};
 
 /// First bytes of a record that are read for its header and, unless it is very long, its sealed head.
 pub const FRONT: usize = 2048;

@@ -15,9 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::chain::{Event, EventAt};
 use crate::crypto::{Provider, check_identity, signer_id};
-use crate::model::steady_clock::steady_now;
 use crate::model::{Address, Domain, GrantTerms, Hash, Identity, PublicKey, SignerId, Timestamp, Token};
-use crate::{PipelineError, Result};
+use crate::{PipelineError, Result, model::steady_clock::steady_now};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityAt {

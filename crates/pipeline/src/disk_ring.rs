@@ -7,11 +7,10 @@ mod tests;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{PipelineError, Plant, Result};
-use crate::crypto::SealedRecord;
 use crate::model::{Address, Header, RingSpan};
 use crate::store::notes::{AskedSpan, AskedSpans};
 use crate::store::{DiskRing, NewRecord, Notes, RingRecord, StoreError};
+use crate::{PipelineError, Plant, Result, crypto::SealedRecord};
 
 /// The most spans asked for at a time.
 const MOST: usize = 64;

@@ -3,15 +3,13 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::importer::{FORMER, MCAP};
 use crate::crypto::{
     Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, SealingKey, SmKeyPair, TopicKey, filter_id, filter_key,
     signer_id, topic_filter_id, topic_id, topic_key,
 };
-use crate::model::head::SIMULATED;
-use crate::model::header::MOST_FILTERS;
+use crate::importer::{FORMER, MCAP};
 use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
-use crate::store::FilterChoice;
+use crate::{model::head::SIMULATED, model::header::MOST_FILTERS, store::FilterChoice};
 
 pub struct TopicKeys {
     pub id: TopicId,

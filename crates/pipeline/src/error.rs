@@ -1,12 +1,9 @@
 //! What can go wrong between capture and verification.
 
 use crate::chain::{ChainError, Shortfall};
-use crate::crypto::CryptoError;
 use crate::model::{Address, Digest, ErrorKind};
-use crate::ros::RosError;
 use crate::store::{Retained, StoreError};
-
-use super::authority::NoRight;
+use crate::{authority::NoRight, crypto::CryptoError, ros::RosError};
 
 /// The outcome of a worker's step.
 pub type Result<T, E = PipelineError> = std::result::Result<T, E>;

@@ -6,29 +6,25 @@ pub use authros_evidence::MOST_RECORDS;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 
-use authros_evidence::time::StampTree;
 use authros_evidence::{
     AnchorClaim, Anchoring, BlockHeader, BundledRecord, Disclosure, Height, Nodes, Packing, PackingError,
-    PinnedAuthority, PinnedChain, Slot, Trust,
+    PinnedAuthority, PinnedChain, Slot, Trust, time::StampTree,
 };
 use tokio::task::block_in_place;
 
-use crate::chain::merkle::Inclusion;
 use crate::chain::{AnchorProof, Chain, ChainError, SealerKind};
 use crate::chain_proofs::{self, Shown as Wanted, anchor_proof};
 use crate::columns::{self, Keys};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::{CryptoError, signer_id};
-use crate::directory::kept;
 use crate::model::{
     Address, Birth, Digest, ErrorKind, Hash, Header, Heads, Heights, PublicKey, RecordState, RecorderId, SignerId,
     TopicId,
 };
 use crate::reader::{Opening, Reader};
 use crate::recorder_heads::{TOPIC, tree};
-use crate::retention::is_stated;
 use crate::store::{RecordQuery, RecordRow, Retained};
-use crate::{PipelineError, Plant, Result, authority};
+use crate::{PipelineError, Plant, Result, authority, chain::merkle::Inclusion, directory::kept, retention::is_stated};
 
 /// The most kept headers after a block that are included.
 const MOST_FURTHER: u64 = 16;

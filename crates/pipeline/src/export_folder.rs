@@ -1,8 +1,6 @@
 //! A folder of `records export`, read within limits and checked without a chain, for a recipient who trusts nobody.
 
-use std::fs::File;
-use std::io::Read as _;
-use std::path::Path;
+use std::{fs::File, io::Read as _, path::Path};
 
 use serde::{Deserialize, Serialize};
 

@@ -12,17 +12,14 @@ use tokio::sync::{Notify, watch};
 use tokio::task::block_in_place;
 
 use self::line::{Line, Outbox};
-use crate::chain::AnchorProof;
-use crate::chain::merkle::Leaf;
 use crate::crypto::{CryptoError, GatewayAccess};
 use crate::gateway::feed::{FeedId, MOST_NAMED};
 use crate::gateway::{
     Client, Code, Context, Credentials, Endpoint, Feed, FeedEntry, FeedPage, GatewayError, Place, Trust,
 };
 use crate::model::{Address, Digest, ErrorKind, Fact, Header, ProfileName, RecordState, RecorderId, Token, counted};
-use crate::store::notes::ProofsTaken;
 use crate::store::{KeptStanding, RecordRow};
-use crate::{PipelineError, Plant, Result};
+use crate::{PipelineError, Plant, Result, chain::AnchorProof, chain::merkle::Leaf, store::notes::ProofsTaken};
 
 /// The longest pause before a record refused for its own sake is sent again.
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
@@ -144,7 +141,7 @@ impl Robot {
         let trust = trust_in(&trust_file, access.fingerprint)?;
         let credentials = Credentials { name: self.name.clone(), key: access.transport.clone(), token: self.token };
         let patience = if addresses.len() > 1 { self.patience.min(PATIENCE_OF_SEVERAL) } else { self.patience };
-        let endpoint = Endpoint { addresses, context: self.context, patience };
+        let endpoint = Endpoint { addresses, context: self.context, patience, source: None };
         Ok(Gate { endpoint, credentials, trust, trust_file })
     }
 }

@@ -1,47 +1,27 @@
 //! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger: a restart runs them again.
 
-use crate as pipeline;
-use authros_chain as chain;
-use authros_crypto as crypto;
-use authros_gateway as gateway;
-use authros_model as model;
-use authros_ros as ros;
-use authros_store as store;
-
 pub mod anchorer;
 pub mod audit_head;
-pub mod author;
 pub mod authority;
-mod block_times;
 pub mod chain_proofs;
 pub mod columns;
 pub mod directory;
 pub mod disk_ring;
 pub mod epoch;
-pub mod equivocation;
 pub mod error;
 pub mod evidence;
 pub mod export_folder;
-#[cfg(test)]
-mod fixture;
 pub mod forwarder;
-#[cfg(test)]
-mod gateway_stage;
 pub mod importer;
 pub mod intake;
-mod keep;
 pub mod losses;
-pub mod meter;
-
 pub mod notices;
 pub mod owner;
 pub mod pace;
-pub mod packing;
 pub mod pins;
 pub mod quarantine;
 pub mod reader;
 pub mod record_audit;
-pub mod recorded_names;
 pub mod recorder;
 pub mod recorder_heads;
 pub mod recovery;
@@ -52,30 +32,35 @@ pub mod sender;
 pub mod session;
 pub mod stages;
 pub mod statement;
-#[cfg(test)]
-mod tests;
 pub mod verifier;
 pub mod watcher;
 
-pub use author::Author;
-pub use block_times::BlockTimes;
-pub use directory::Directory;
-pub use error::{PipelineError, Result};
-pub use forwarder::Forwarder;
-pub use losses::Losses;
-pub use owner::Owner;
-pub use pins::{PinRules, Pins};
-pub use recorder::Recorder;
-pub use sender::{Outgoing, Sender};
-pub use session::CaptureSession;
+#[cfg(test)]
+use crate as pipeline;
+use std::{path::Path, sync::Arc};
 
-use std::path::Path;
-use std::sync::Arc;
+use authros_chain as chain;
+use authros_crypto as crypto;
+use authros_gateway as gateway;
+use authros_model as model;
+use authros_ros as ros;
+use authros_store as store;
 
 use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ciphertext, Glance, Ledger, Rights, StoreError};
+use crate::store::{Ciphertext, Glance, Ledger, NewRecord, RecordRow, Rights, StoreError};
+
+pub use chain_proofs::BlockTimes;
+pub use directory::Directory;
+pub use error::{PipelineError, Result};
+pub use forwarder::Forwarder;
+pub use losses::Losses;
+pub use owner::{Author, Owner};
+pub use pins::{PinRules, Pins};
+pub use recorder::Recorder;
+pub use sender::{Outgoing, Sender};
+pub use session::CaptureSession;
 
 /// What workers report to the service. Implementations return quickly and never block.
 pub trait Observer: Send + Sync {
@@ -150,3 +135,39 @@ impl Network {
         Ok(network)
     }
 }
+
+// The only way for a sealed record into a site: the reserve is checked, row and bytes are written in one commit, which
+// acknowledges it, and only then the cache learns of it.
+
+impl Plant {
+    /// In the commit of `acknowledge`; after an error none is stored. Bytes that were deleted here do not come back.
+    pub fn keep<R: AsRef<[NewRecord]>, T>(
+        &self,
+        records: R,
+        acknowledge: impl FnOnce(R) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.ledger.records.takes_records()?;
+        let cached = self.ciphertext.is_cached();
+        let digests: Vec<_> = records.as_ref().iter().filter(|_| cached).map(|record| record.digest).collect();
+        let done = acknowledge(records)?;
+        self.ciphertext.written(digests);
+        Ok(done)
+    }
+
+    /// Perhaps from the cache. Deleted bytes are gone, even where store or cache have them again.
+    pub fn stored_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
+        if row.deleted_at.is_some() {
+            return Ok(None);
+        }
+        self.ciphertext.through_cache(row.digest)
+    }
+}
+
+#[cfg(test)]
+mod fixture;
+
+#[cfg(test)]
+mod gateway_stage;
+
+#[cfg(test)]
+mod tests;

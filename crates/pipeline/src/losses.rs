@@ -1,21 +1,15 @@
 //! Messages that do not become records: noted in memory, written to the ledger every second, and reported in gap
 //! records in their topic's own sequence, so that its readers learn of them.
 
-use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::{collections::BTreeMap, path::Path, time::Duration};
 
 use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp};
-use crate::ros::Message;
-use crate::store::notes::LossesCounted;
+use crate::statement::{self, Speaker, Statement};
 use crate::store::{GapRow, Loss, StateCounts, StoreError, Waiting, WaitingFile};
-
-use super::recorder::CapturedMessage;
-use super::sealer::plan::Stream;
-use super::statement::{self, Speaker, Statement};
-use super::{Author, Plant, Result};
+use crate::{Author, Plant, Result};
+use crate::{recorder::CapturedMessage, ros::Message, sealer::plan::Stream, store::notes::LossesCounted};
 
 /// How long losses are collected before a gap record reports them.
 pub const GATHERED: Duration = Duration::from_secs(3);

@@ -1,25 +1,21 @@
 //! A robot's side of its owner's notices, which are sealed for one device, signed by d_C and numbered: it follows the
 //! feed, takes notices newer than those it has, saves them and applies them.
 
-use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use std::{path::PathBuf, sync::Arc};
 
 use async_trait::async_trait;
-use tokio::sync::watch;
-use tokio::task::block_in_place;
+use tokio::{sync::watch, task::block_in_place};
 
 use crate::crypto::{
     Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Names, Notice, Provider,
     SealedEnrolment, SignedPolicy, notice_topic, open,
 };
+use crate::forwarder::{Errand, ForwardError};
 use crate::gateway::{Client, Code, Feed, FeedEntry, Fetched, GatewayError};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
-use crate::store::Notes;
-
-use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError, Result, disk_ring};
+use crate::{Author, Observer, PipelineError, Result, disk_ring, store::Notes};
 
 /// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
 const AGAIN: Duration = Duration::from_secs(2);

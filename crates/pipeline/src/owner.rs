@@ -5,13 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::crypto::{
-    CryptoError, EoaSecret, EpochKey, EpochSecret, EpochState, IndexKey, NetworkKeys, Provider, SealingKey, SmKeyPair,
-    UnlockedKeyring, WrappedKeys, token, topic_id,
+    CryptoError, Enrolment, EoaSecret, EpochKey, EpochSecret, EpochState, IndexKey, NetworkKeys, Provider, SealingKey,
+    SmKeyPair, UnlockedKeyring, WrappedKeys, token, topic_id,
 };
 use crate::model::{Address, Digest, Domain, ProfileName, PublicKey, Timestamp, Token, TopicId};
-
-use super::epoch::EpochKeys;
-use super::{Author, PipelineError, Result};
+use crate::{PipelineError, Result, epoch::EpochKeys, model::steady_clock::steady_now};
 
 /// Its address does not change while it is open.
 pub struct Owner {
@@ -228,15 +226,10 @@ impl Owner {
     }
 
     /// Saves keys of epochs that the chain returned, over any other of the same epochs, and IK if one came with them.
-    pub fn adopt(
-        &self,
-        domain: Domain,
-        epochs: Vec<(u64, EpochKey)>,
-        index: Option<IndexKey>,
-    ) -> Result<(), CryptoError> {
+    pub fn adopt(&self, domain: Domain, new: Vec<(u64, EpochKey)>, index: Option<IndexKey>) -> Result<(), CryptoError> {
         self.keyring().change(|keys| {
             let network = keys.networks.entry(domain).or_default();
-            for (epoch, key) in epochs {
+            for (epoch, key) in new {
                 network.epochs.insert(epoch, EpochSecret { key, state: EpochState::Active });
             }
             if let Some(index) = index {
@@ -259,5 +252,70 @@ impl Owner {
             network.current = network.current.max(epoch);
             Ok(())
         })
+    }
+}
+
+// The owner for whom messages are sealed, with the keys, of a keyring or an enrolment, and when each takes effect.
+
+pub struct Author {
+    pub address: Address,
+    sealing: Mutex<Sealing>,
+}
+
+#[derive(Default)]
+struct Sealing {
+    keys: Option<Arc<EpochKeys>>,
+    next: Option<(Timestamp, Arc<EpochKeys>)>,
+}
+
+impl Author {
+    pub fn new(address: Address) -> Self {
+        Self { address, sealing: Mutex::default() }
+    }
+
+    /// `None` before the first keys and after the last have ended. A message captured after the moment of
+    /// [`Self::seal_from`] is never sealed under the earlier keys, even if nothing ran at that moment.
+    pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
+        let mut sealing = self.lock();
+        if let Some((_, keys)) = sealing.next.take_if(|(from, _)| steady_now() >= *from) {
+            sealing.keys = Some(keys);
+        }
+        sealing.keys.as_ref().filter(|keys| keys.ends.is_none_or(|ends| steady_now() < ends)).cloned()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Sealing> {
+        self.sealing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
+        self.lock().next.clone()
+    }
+
+    /// Takes the keys that an owner sent to a device: the present ones, and others from a future moment.
+    pub fn obey(&self, enrolment: &Enrolment) {
+        self.seal_under(Arc::new(EpochKeys::issued(enrolment, &enrolment.keys.now)));
+        if let Some((moment, next)) = &enrolment.keys.next {
+            self.seal_from(*moment, Arc::new(EpochKeys::issued(enrolment, next)));
+        }
+    }
+
+    pub fn seal_under(&self, keys: Arc<EpochKeys>) {
+        *self.lock() = Sealing { keys: Some(keys), next: None };
+    }
+
+    pub fn rest(&self) {
+        *self.lock() = Sealing::default();
+    }
+
+    /// From `moment` on records are sealed with these keys, unless those of the same or a later epoch are already in
+    /// use; of two such moments the earlier counts.
+    pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {
+        let mut sealing = self.lock();
+        if sealing.keys.as_ref().is_some_and(|now| now.domain == keys.domain && now.epoch >= keys.epoch) {
+            return;
+        }
+        if sealing.next.as_ref().is_none_or(|(from, _)| moment < *from) {
+            sealing.next = Some((moment, keys));
+        }
     }
 }

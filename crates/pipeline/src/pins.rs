@@ -6,10 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::model::{Address, Doubt, ListedPublishers, PinMode, Publisher, Timestamp, clean, pinned_name};
-use crate::ros::Origin;
 use crate::store::{AuditEntry, AuditLog, Ledger, Pins as KeptPins, StoreError};
-
-use super::Observer;
+use crate::{Observer, ros::Origin};
 
 /// The most verdicts kept; beyond that they are recomputed.
 const MOST_VERDICTS: usize = 4096;
@@ -287,20 +285,14 @@ impl Pins {
         Ok(topics.entry(key).or_default())
     }
 
-    fn pin_first(
-        &self,
-        known: &mut Known,
-        owner: Address,
-        topic: &str,
-        publisher: &Publisher,
-    ) -> Result<(), StoreError> {
-        self.kept.pin(owner, topic, std::slice::from_ref(publisher), "first")?;
-        known.pins.push(publisher.clone());
+    fn pin_first(&self, known: &mut Known, owner: Address, topic: &str, found: &Publisher) -> Result<(), StoreError> {
+        self.kept.pin(owner, topic, std::slice::from_ref(found), "first")?;
+        known.pins.push(found.clone());
         known.used = true;
         known.first_use.get_or_insert_with(Instant::now);
-        let name = clean(&publisher.to_string(), 200);
+        let name = clean(&found.to_string(), 200);
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
-        let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
+        let (caller, host) = (clean(&found.caller_id, 100), clean(&found.host, 100));
         let number = if caller.ends_with('#') { " (# is any number: it draws one at each start)" } else { "" };
         let text =
             format!("{topic}: pinned {caller} on {host}{number} (first seen): messages from others are quarantined");

@@ -2,11 +2,9 @@
 //! have a topic of their own, so that only the sealer uses its numbers.
 
 use crate::model::{Address, Digest, Domain, Doubt, QuarantineReport, RecordKind, RecorderId, Timestamp, TopicId};
-use crate::ros::Origin;
+use crate::statement::{self, Speaker, Statement};
 use crate::store::{HeldMinute, Hold};
-
-use super::statement::{self, Speaker, Statement};
-use super::{Author, PipelineError, Plant, Result, pins};
+use crate::{Author, PipelineError, Plant, Result, pins, ros::Origin};
 
 /// The name that quarantine records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/quarantine";

@@ -4,28 +4,20 @@
 
 mod batches;
 mod records;
-mod report;
-mod stored;
-
-pub use report::{FindingKind, RecordAudit, RecordFinding};
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
-use std::time::Instant;
+use std::{sync::Arc, sync::atomic::AtomicU64, time::Instant};
 
+use serde::{Deserialize, Serialize};
 use tokio::runtime::Handle;
 
-use self::records::{Bench, Uploaded, look, read_again};
-use self::report::Tally;
 use crate::chain::{ChainError, Event, EventAt};
-use crate::columns::Keys;
-use crate::directory::Told;
-use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp, counted};
-use crate::store::notes::ScrubbedUpTo;
+use crate::model::{Address, Digest, ErrorKind, RecordState, Timestamp, clean, counted};
+use crate::record_audit::records::{Bench, Uploaded, look, read_again};
 use crate::store::{AuditLog, AuditedRecord, Ledger, StoreError};
-use crate::watcher;
-use crate::{Network, Plant, audit_head};
+use crate::{Network, Plant, audit_head, columns::Keys, directory::Told, store::notes::ScrubbedUpTo, watcher};
+
+type Result<T, E = StoreError> = std::result::Result<T, E>;
 
 #[derive(Clone)]
 pub struct Scope {
@@ -48,7 +40,7 @@ pub fn audit(
     log: &AuditLog,
     scope: &Scope,
     runtime: &Handle,
-) -> Result<RecordAudit, StoreError> {
+) -> Result<RecordAudit> {
     let begun = Instant::now();
     let mut tally = Tally::default();
     let network = match &chain {
@@ -85,7 +77,7 @@ fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
 }
 
 /// The audit log's own hash chain, and the heads that the home's profiles noted when they sealed them.
-fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<()> {
     match log.verify() {
         Ok(lines) => tally.audit.audit_lines = lines,
         Err(fault) => tally.find(FindingKind::Tampered, "audit log", &fault.to_string()),
@@ -100,7 +92,7 @@ fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Re
 }
 
 /// The counts beside the rows, from which lists know where to look; deep also the file's pages and indices.
-fn file_of(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
+fn file_of(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<()> {
     let inspection = &plant.ledger.inspection;
     for text in inspection.contradictions()? {
         let text = format!("{text}, so lists and totals may leave records out; restore the last backup");
@@ -167,17 +159,13 @@ async fn compare(
     Ok(())
 }
 
-fn differing_blocks(ledger: &Ledger, (from, to): (u64, u64), events: &[EventAt]) -> Result<BTreeSet<u64>, StoreError> {
+fn differing_blocks(ledger: &Ledger, (from, to): (u64, u64), events: &[EventAt]) -> Result<BTreeSet<u64>> {
     let Some(compared) = Compared::new(ledger, (from, to), events)? else { return Ok(BTreeSet::new()) };
     let missing = compared.missing.iter().map(|event| event.block);
     Ok(missing.chain(compared.surplus.iter().map(|told| told.block)).chain(compared.other.iter().copied()).collect())
 }
 
-fn differences(
-    ledger: &Ledger,
-    blocks: (u64, u64),
-    events: &[EventAt],
-) -> Result<Vec<(FindingKind, String)>, StoreError> {
+fn differences(ledger: &Ledger, blocks: (u64, u64), events: &[EventAt]) -> Result<Vec<(FindingKind, String)>> {
     let Some(compared) = Compared::new(ledger, blocks, events)? else { return Ok(Vec::new()) };
     let mut found = Vec::new();
     for at in &compared.missing {
@@ -205,7 +193,7 @@ struct Compared<'a> {
 
 impl<'a> Compared<'a> {
     /// As far as the watcher has read; `None` if that is before these blocks.
-    fn new(ledger: &Ledger, (from, to): (u64, u64), events: &'a [EventAt]) -> Result<Option<Self>, StoreError> {
+    fn new(ledger: &Ledger, (from, to): (u64, u64), events: &'a [EventAt]) -> Result<Option<Self>> {
         // Asked before the ledger is: what is read up to here is in it.
         let Some((read, _)) = ledger.trail.cursor()?.filter(|(read, _)| *read >= from) else { return Ok(None) };
         let to = to.min(read);
@@ -237,7 +225,7 @@ pub struct Scrubbed {
 }
 
 /// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
-pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
+pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed> {
     let after = plant.ledger.notes.read(&ScrubbedUpTo {})?.unwrap_or(0);
     let page = plant.ledger.inspection.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
@@ -258,12 +246,7 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
     Ok(done)
 }
 
-fn scrub(
-    plant: &Plant,
-    network: &Network,
-    record: AuditedRecord,
-    done: &mut Scrubbed,
-) -> Result<Option<Digest>, StoreError> {
+fn scrub(plant: &Plant, network: &Network, record: AuditedRecord, done: &mut Scrubbed) -> Result<Option<Digest>> {
     let digest = record.row.digest;
     let bench = Bench { plant, network: Some(network), blind: false, deep: true, keys: None };
     let (mut tally, mut piece) = (Tally::default(), [(record, Uploaded::NotAsked)]);
@@ -282,4 +265,199 @@ fn scrub(
     let text = format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text);
     plant.observer.alert(true, text);
     Ok(Some(digest))
+}
+
+// The findings of an audit, as counted and as reported.
+
+/// Findings listed individually; the rest are counted.
+const MOST_TOLD: usize = 100;
+/// The longest text of a finding, characters.
+const WIDEST: usize = 400;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "lowercase")]
+pub enum FindingKind {
+    Tampered,
+    Missing,
+    /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
+    #[strum(to_string = "false name")]
+    FalseName,
+    Gap,
+    Unreachable,
+}
+
+impl FindingKind {
+    pub fn word(self) -> &'static str {
+        self.into()
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordFinding {
+    pub kind: FindingKind,
+    /// Its subject: a record's id, a batch's root, a topic, `audit log`, `chain`.
+    pub subject: String,
+    pub text: String,
+}
+
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct RecordAudit {
+    pub ok: bool,
+    pub deep: bool,
+    pub records: u64,
+    /// Stored bytes hashed (deep), or bytes of the messages.
+    pub bytes: u64,
+    pub missing: u64,
+    pub tampered: u64,
+    /// Records whose signers wrote false names into them; everything else about them is as it was sealed.
+    pub false_names: u64,
+    pub gaps: u64,
+    pub batches: u64,
+    pub audit_lines: u64,
+    /// Records not yet on any chain.
+    pub pending: u64,
+    /// Records whose bytes were deleted on purpose: discarded from quarantine, by retention, or handed over to a
+    /// gateway.
+    pub given_up: u64,
+    /// Records whose signature could not be checked: the signer's key is not on any chain known here (deep).
+    pub unchecked: u64,
+    pub seconds: f64,
+    /// Records a second, while records were examined.
+    pub records_per_second: f64,
+    /// Megabytes (10^6) a second, while records were examined.
+    pub megabytes_per_second: f64,
+    pub threads: usize,
+    pub findings: Vec<RecordFinding>,
+    pub findings_left_out: u64,
+    /// What was left out of the audit, and why that is not a finding.
+    pub notes: Vec<String>,
+}
+
+impl RecordAudit {
+    /// The worst finding, as a kind of error; `None` if there was none.
+    pub fn worst(&self) -> Option<ErrorKind> {
+        if self.tampered + self.missing + self.gaps > 0 {
+            Some(ErrorKind::Tampered)
+        } else if self.false_names > 0 {
+            Some(ErrorKind::Refused)
+        } else if self.ok {
+            None
+        } else {
+            Some(ErrorKind::Unreachable)
+        }
+    }
+}
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tally {
+    /// The figures so far; times and rates come with the report.
+    pub audit: RecordAudit,
+    /// Entries of the index of tags supported by headers.
+    pub indexed: u64,
+    pub unnamed: u64,
+    /// Records whose headers are not here.
+    pub unread: u64,
+    /// The highest row number.
+    pub last: u64,
+    found: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reading {
+    pub seconds: f64,
+    pub threads: usize,
+}
+
+impl Tally {
+    pub fn find(&mut self, kind: FindingKind, subject: &str, text: &str) {
+        match kind {
+            FindingKind::Tampered => self.audit.tampered += 1,
+            FindingKind::Missing => self.audit.missing += 1,
+            FindingKind::FalseName => self.audit.false_names += 1,
+            FindingKind::Gap | FindingKind::Unreachable => {}
+        }
+        self.found += 1;
+        if self.audit.findings.len() < MOST_TOLD {
+            self.audit.findings.push(RecordFinding { kind, subject: clean(subject, 120), text: clean(text, WIDEST) });
+        }
+    }
+
+    pub fn note(&mut self, text: &str) {
+        self.audit.notes.push(clean(text, WIDEST));
+    }
+
+    pub fn join(&mut self, other: Self) {
+        let (own, more) = (&mut self.audit, other.audit);
+        own.records += more.records;
+        own.bytes += more.bytes;
+        own.gaps += more.gaps;
+        own.batches += more.batches;
+        own.pending += more.pending;
+        own.given_up += more.given_up;
+        own.unchecked += more.unchecked;
+        own.tampered += more.tampered;
+        own.missing += more.missing;
+        own.false_names += more.false_names;
+        let room = MOST_TOLD.saturating_sub(own.findings.len());
+        own.findings.extend(more.findings.into_iter().take(room));
+        own.notes.extend(more.notes);
+        self.indexed += other.indexed;
+        self.unnamed += other.unnamed;
+        self.unread += other.unread;
+        self.last = self.last.max(other.last);
+        self.found += other.found;
+    }
+
+    pub fn findings(&self) -> &[RecordFinding] {
+        &self.audit.findings
+    }
+
+    pub fn report(self, deep: bool, seconds: f64, reading: Reading) -> RecordAudit {
+        let rate = |count: u64| {
+            #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
+            let count = count as f64;
+            if reading.seconds > 0.0 { count / reading.seconds } else { 0.0 }
+        };
+        let told = u64::try_from(self.audit.findings.len()).unwrap_or(u64::MAX);
+        RecordAudit {
+            ok: self.found == 0,
+            deep,
+            seconds,
+            records_per_second: rate(self.audit.records),
+            megabytes_per_second: rate(self.audit.bytes) / 1e6,
+            threads: reading.threads,
+            findings_left_out: self.found.saturating_sub(told),
+            ..self.audit
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn findings_are_told_up_to_a_bound_and_counted_beyond() {
+        let mut tally = Tally::default();
+        let mut other = Tally::default();
+        for number in 0..80 {
+            tally.find(FindingKind::Missing, "a", &number.to_string());
+            other.find(FindingKind::Tampered, "b", "\u{202e}x");
+        }
+        tally.join(other);
+        let report = tally.report(true, 1.0, Reading { seconds: 0.0, threads: 1 });
+        assert_eq!((report.findings.len(), report.findings_left_out), (100, 60));
+        assert_eq!((report.missing, report.tampered, report.ok), (80, 80, false));
+        assert_eq!(report.worst(), Some(ErrorKind::Tampered));
+        assert!(report.findings.iter().all(|finding| !finding.text.contains('\u{202e}')));
+        let mut misnamed = Tally::default();
+        misnamed.find(FindingKind::FalseName, "record 1", "a false topic");
+        let report = misnamed.report(false, 1.0, Reading { seconds: 1.0, threads: 1 });
+        assert_eq!((report.ok, report.tampered, report.worst()), (false, 0, Some(ErrorKind::Refused)));
+        let mut silent = Tally::default();
+        silent.find(FindingKind::Unreachable, "chain", "no answer");
+        let report = silent.report(false, 1.0, Reading { seconds: 1.0, threads: 1 });
+        assert_eq!((report.ok, report.worst()), (false, Some(ErrorKind::Unreachable)));
+    }
 }

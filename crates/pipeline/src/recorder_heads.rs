@@ -5,11 +5,9 @@ use std::time::{Duration, Instant};
 
 use crate::crypto::merkle::{Tree, height_hash};
 use crate::model::{Address, Birth, Digest, Hash, Heads, Heights, RecordKind, Timestamp};
+use crate::statement::{self, Statement};
 use crate::store::notes::{StatedNumbers, StatedRoot};
-
-use super::epoch::EpochKeys;
-use super::statement::{self, Statement};
-use super::{Plant, Result, audit_head};
+use crate::{Plant, Result, audit_head, epoch::EpochKeys};
 
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";

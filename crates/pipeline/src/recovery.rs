@@ -6,10 +6,7 @@ use crate::crypto::{
     EpochKey, GrantedKeys, IndexKey, SmKeyPair, WrappedKeys, hand_over, take_over, token, unwrap, wrap,
 };
 use crate::model::{GrantTerms, PublicKey, Scope};
-use crate::store::KeptEnvelope;
-
-use super::directory::kept;
-use super::{Network, Owner, PipelineError, Plant, Result};
+use crate::{Network, Owner, PipelineError, Plant, Result, directory::kept, store::KeptEnvelope};
 
 /// The terms under which an owner keeps an epoch's key for itself: those of a grant, which the contract refuses to
 /// give to oneself.

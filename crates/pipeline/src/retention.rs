@@ -5,9 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use crate::authority::{Moment, SigningRight, key_of, may_sign};
-use crate::chain_proofs::anchor_proof;
 use crate::crypto::{AccountSignature, EoaSecret, ErasedStatement, SmKeyPair, signer_id};
-use crate::epoch::EpochKeys;
 use crate::gateway::{ErasedRecord, ErasureNotice, Fetched};
 use crate::model::{
     Address, Digest, Header, Keeping, PublicKey, RecordKind, RecordState, RecorderId, RetentionReport, RetentionRule,
@@ -18,7 +16,7 @@ use crate::store::{
     Erasure, IncidentRow, KeptTopic, NewRecord, OldRecord, PlacedRecord, RecordRow, Retained, StatedErasure,
     StoreError, Unstated,
 };
-use crate::{Network, Owner, PipelineError, Plant, Result};
+use crate::{Network, Owner, PipelineError, Plant, Result, chain_proofs::anchor_proof, epoch::EpochKeys};
 
 /// The name that retention records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/retention";

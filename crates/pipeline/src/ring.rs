@@ -2,9 +2,8 @@
 //! the caller, who counts it. A topic may hold as much as is left for all others, so none starves them.
 
 use std::collections::{HashMap, VecDeque};
-use std::ops::Deref;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::{ops::Deref, time::Duration};
 
 /// Size in memory, bytes.
 pub trait Weighted {

@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 
 use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
-use crate::model::head::Compression;
+use crate::epoch::{EpochKeys, TopicKeys};
 use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestamp, TopicId};
 use crate::store::{NewRecord, StoreError};
-
-use super::epoch::{EpochKeys, TopicKeys};
-use super::{Plant, Result};
+use crate::{Plant, Result, model::head::Compression};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'a> {

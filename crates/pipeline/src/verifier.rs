@@ -1,16 +1,13 @@
 //! The last step: re-reads confirmed records from the store, and checks digest and signature on several cores.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
-use std::time::Instant;
+use std::{collections::HashMap, collections::hash_map::Entry, time::Instant};
 
 use crate::authority::{self, NoRight};
 use crate::crypto::{Anchor, Unchecked, check_deleted, check_many, fault};
 use crate::model::{Digest, PublicKey, RecordState, counted};
-use crate::retention::is_stated;
 use crate::stages::{Milestone, Stage};
 use crate::store::{RecordQuery, RecordRow};
-use crate::{Network, Plant, Result, chain_proofs, columns};
+use crate::{Network, Plant, Result, chain_proofs, columns, retention::is_stated};
 
 /// Records per round: this many share the cost of a page of a ledger with many topics.
 const ROUND: usize = 512;

@@ -9,13 +9,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::model::{Timestamp, TopicName, TypeName, clean};
-use crate::ros::address::{Endpoint, own_host};
-use crate::ros::graph::Unreached;
-use crate::ros::tcpros::{BusLink, Node, SlaveServer};
-use crate::ros::xmlrpc::{CallError, Value, call};
-use crate::ros::{Result, RosError, lock};
 use topic::Topic;
+
+use crate::model::{Timestamp, TopicName, TypeName, clean};
+use crate::tcpros::{BusLink, Node, SlaveServer};
+use crate::tcpros::{Endpoint, own_host};
+use crate::xmlrpc::{CallError, Value, call};
+use crate::{Result, RosError, graph::Unreached, lock};
 
 pub(crate) use topic::next_number;
 pub use topic::{Origin, Rival};

@@ -6,10 +6,9 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::clean;
-use crate::ros::address::{Endpoint, connect, own_host, resolve};
-use crate::ros::xmlrpc::{CallError, Value, call};
-use crate::ros::{Result, RosError};
+use crate::tcpros::{Endpoint, connect, own_host, resolve};
+use crate::xmlrpc::{CallError, Value, call};
+use crate::{Result, RosError, model::clean};
 
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 

@@ -3,16 +3,14 @@
 //! passes every other call on as text.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
-use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use std::{sync::Arc, thread::JoinHandle};
 
 use tokio::sync::oneshot;
 
-use super::address::Endpoint;
-use super::tcpros::{failure, success};
-use super::xmlrpc::{Answer, Server, Value, call, forward};
-use super::{Result, RosError};
+use crate::tcpros::{failure, success};
+use crate::xmlrpc::{Answer, Server, Value, call, forward};
+use crate::{Result, RosError, tcpros::Endpoint};
 
 /// Left free for a real roscore.
 const USUAL_PORT: u16 = 11311;

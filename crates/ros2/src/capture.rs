@@ -7,16 +7,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
-use crate::describing::Question;
+use rustdds::discovery::DiscoveredWriterData;
+use rustdds::mio1::{Events, Poll, Token, Waker};
+
 use crate::graph::{self, Graph, Nodes, Prefix};
-use crate::handover::{Bringer, Lines};
 use crate::member::{Member, OVERLAP};
 use crate::pipe::read::{Told, Wish};
 use crate::pipe::{LONGEST_PAYLOAD, VERSION, receive, send};
+use crate::reading::{Bringer, Lines};
 use crate::reading::{Reading, Subject, Taken};
-use crate::{Ros2Error, threads};
-use rustdds::discovery::DiscoveredWriterData;
-use rustdds::mio1::{Events, Poll, Token, Waker};
+use crate::{Ros2Error, describing::Question, member};
 
 const WAKE: Token = Token(0);
 /// The first reader's; 1 is the participants'.
@@ -150,7 +150,7 @@ impl<'a, W: Write> Child<'a, W> {
             }
             self.renew()?;
             if due(alive, ALIVE) {
-                if !threads::run(self.members.len()) {
+                if !member::threads_run(self.members.len()) {
                     return Err(Ros2Error::Threads);
                 }
                 send(self.out, &Told::Alive(self.graph.counts(self.present().len())), &[])?;

@@ -6,17 +6,15 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use crate::farewell::Departures;
-use crate::graph::{self, Graph, Id};
-use crate::pipe::read::Told;
-use crate::publish::Encoded;
-use crate::quality::{self, Raw, RawAdapter, RawDecoder, Request as Quality};
-use rustdds::bytes::Bytes;
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::{
     DomainParticipant, Publisher, QosPolicies, RTPSEntity, SampleIdentity, SequenceNumber, Subscriber, TopicKind,
-    WriteOptionsBuilder,
+    WriteOptionsBuilder, bytes::Bytes,
 };
+
+use crate::graph::{self, Graph, Id};
+use crate::quality::{self, Raw, RawAdapter, RawDecoder, Request as Quality};
+use crate::{farewell::Departures, pipe::read::Told, publish::Encoded};
 
 const REQUEST_TYPE: &str = "type_description_interfaces::srv::dds_::GetTypeDescription_Request_";
 const ANSWER_TYPE: &str = "type_description_interfaces::srv::dds_::GetTypeDescription_Response_";

@@ -3,10 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-use crate::describing::Reader;
-use crate::pipe::read::{Counts, Quality, Told, Writer};
-use crate::quality;
 use rustdds::discovery::DiscoveredWriterData;
+
+use crate::pipe::read::{Counts, Quality, Told, Writer};
+use crate::{describing::Reader, quality};
 
 const MOST_WRITERS: usize = 20_000;
 

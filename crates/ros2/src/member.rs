@@ -1,21 +1,20 @@
 //! One participant of ours in the domain: its readers, its questions to nodes, and the leaving of each.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::time::{Duration, Instant};
 
-use crate::Ros2Error;
-use crate::describing::Describing;
-use crate::farewell::{Departures, Farewell};
-use crate::graph::{self, Graph, Prefix};
-use crate::pipe::read::{Quality, Told};
-use crate::quality;
-use crate::reading::{Reading, Subject, Taken};
-use rustdds::discovery::DiscoveredWriterData;
 use rustdds::mio1::{Interest, Registry, Token};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, DomainParticipantStatusListener,
-    Publisher, QosPolicies, RTPSEntity, StatusEvented, Subscriber,
+    Publisher, QosPolicies, RTPSEntity, StatusEvented, Subscriber, discovery::DiscoveredWriterData,
 };
+
+use crate::farewell::{Departures, Farewell};
+use crate::graph::{self, Graph, Prefix};
+use crate::pipe::read::{Quality, Told};
+use crate::reading::{Reading, Subject, Taken};
+use crate::{Ros2Error, describing::Describing, quality};
 
 /// Only wakes: news are checked at every beat.
 const STATUS: Token = Token(1);
@@ -212,4 +211,20 @@ impl Member {
     pub fn has_left(&self) -> bool {
         self.readings.is_empty() && self.describing.is_idle()
     }
+}
+
+// Whether the network threads run. They end when one of their waits is interrupted, as after a suspend, and nothing
+// else reports it.
+
+/// Prefix of their names, cut by the system.
+const NAME: &str = "RustDDS";
+const EXPECTED: usize = 2;
+
+/// `true` if the system lists no threads.
+pub fn threads_run(participants: usize) -> bool {
+    let Ok(tasks) = fs::read_dir("/proc/self/task") else { return true };
+    let named = tasks
+        .flatten()
+        .filter(|task| fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.starts_with(NAME)));
+    named.count() >= EXPECTED * participants
 }

@@ -8,12 +8,10 @@ use std::time::{Duration, Instant};
 
 use rosrust::api::Ros;
 
-use crate::RosrustError;
-use crate::error::told;
-use crate::outlet::Outlet;
-use crate::pipe::write::{self, Described, Order, Report};
-use crate::pipe::{PipeError, VERSION, send};
+use crate::pipe::write::{Described, Order, Report};
+use crate::pipe::{PipeError, VERSION, send, write};
 use crate::queue::{Queue, Taken};
+use crate::{RosrustError, outlet::Outlet, told};
 
 /// The longest wait for an order, and the longest while messages are on their way.
 const BEAT: Duration = Duration::from_millis(50);

@@ -150,8 +150,8 @@ mod tests {
         let (identity, join) = (SmKeyPair::generate(provider).expect("keys"), JoinKey::generate(2).expect("a key"));
         let (gateway, kept) = (signer_id(&identity.public), std::sync::Arc::default());
         let (shelf, now) = (Memory(std::sync::Arc::clone(&kept)), Timestamp::from_seconds(2_000_000_000));
-        crate::gateway::Cabinet::on(Box::new(shelf), provider, DOMAIN, identity, Schedule::default(), now)
-            .expect("opens");
+        let context = crate::gateway::Context { provider, domain: DOMAIN };
+        crate::gateway::Cabinet::on(Box::new(shelf), context, identity, Schedule::default(), now).expect("opens");
         let kept = kept.lock().expect("not poisoned").clone().expect("written");
         let keys = crate::site::sealed_system_keys(provider, (&DOMAIN, &gateway), &join, &kept).expect("seals");
         let account = Address([7; 20]);

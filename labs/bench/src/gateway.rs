@@ -226,7 +226,7 @@ impl Stage {
         let desk = Arc::new(desk);
         let (path, identity) = (directory.join("gateway"), sender.gateway.clone());
         let schedule = Schedule::default();
-        let cabinet = Cabinet::open(&path, context.provider, context.domain, identity, schedule, Timestamp::now())?;
+        let cabinet = Cabinet::open(&path, context, identity, schedule, Timestamp::now())?;
         let most = connections + 10;
         let limits = Limits {
             connections: most,
@@ -244,7 +244,7 @@ impl Stage {
         Ok(Self {
             desk,
             server,
-            endpoint: Endpoint { addresses: vec![address], context, patience: PATIENCE },
+            endpoint: Endpoint { addresses: vec![address], context, patience: PATIENCE, source: None },
             credentials,
         })
     }

@@ -1,7 +1,7 @@
 //! Join files, opened: what a passphrase holder may have put there, and the system keys that workers share.
 
 use authros::crypto::{JoinFile, JoinKey, ProviderName, SmKeyPair, provider};
-use authros::gateway::{Cabinet, GatewayError, Kept, Schedule, Shelf};
+use authros::gateway::{Cabinet, Context, GatewayError, Kept, Schedule, Shelf};
 use authros::model::{Domain, SignerId, Timestamp};
 
 use crate::{Sample, sample, way};
@@ -56,7 +56,8 @@ pub fn samples() -> Vec<Sample> {
     let provider = provider(ProviderName::RustCrypto);
     let identity = SmKeyPair::generate(provider).expect("random");
     let (schedule, now) = (Schedule::default(), Timestamp::from_seconds(2_000_000_000));
-    let cabinet = Cabinet::on(Box::new(Nowhere), provider, Domain([1; 32]), identity, schedule, now).expect("opens");
+    let context = Context { provider, domain: Domain([1; 32]) };
+    let cabinet = Cabinet::on(Box::new(Nowhere), context, identity, schedule, now).expect("opens");
     let list = cabinet.kept().list.encode();
     let length = u16::try_from(list.len()).expect("short").to_be_bytes();
     let shared = [&length[..], &list, &cabinet.kept().secrets()].concat();

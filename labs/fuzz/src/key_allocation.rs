@@ -83,7 +83,7 @@ fn list(bytes: &[u8]) -> bool {
     assert_eq!(list.encode(), bytes, "one encoding for one list");
     // As if the gateway had announced exactly this one.
     let agreed = agreed(list.summary(provider()));
-    let checked = list.check(provider(), &DOMAIN, &agreed, Timestamp(500));
+    let checked = list.check(context(), &agreed, Timestamp(500));
     assert_eq!(checked.is_ok(), bytes == genuine(LIST), "took a list that nobody signed, or refused one that was");
     checked.is_ok_and(|key| key == system_key())
 }
@@ -126,7 +126,7 @@ pub fn samples() -> Vec<Sample> {
         Applicant { name: &name, signing: &CAST.owner, envelope: CAST.reader.public, account: &CAST.account };
     let (_, request) = apply(&context(), &AGREED, &system_key(), &applicant).expect("applies");
     let dates = (Timestamp(1), Timestamp(1000));
-    let list = SystemKeyList::sign(provider, DOMAIN, &CAST.gateway, 7, dates, vec![system_key()]).expect("signs");
+    let list = SystemKeyList::sign(context(), &CAST.gateway, 7, dates, vec![system_key()]).expect("signs");
     let token = Token([1; 32]);
     let identity = prove(provider, &DOMAIN, &CAST.address(), &CAST.owner, &CAST.reader.public, token).expect("proves");
     let registration = [&CAST.address().0[..], &identity.encode()].concat();

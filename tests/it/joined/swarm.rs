@@ -76,7 +76,7 @@ impl Place {
     fn of(workers: &[&Gateway], keys: &Keys) -> Self {
         let context = Context { provider: keys.provider(), domain: keys.domain };
         let addresses = workers.iter().map(|worker| worker.address()).collect();
-        let endpoint = Endpoint { addresses, context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses, context, patience: PATIENCE, source: None };
         Self { endpoint, key: workers[0].key.parse().expect("a key") }
     }
 
@@ -89,17 +89,21 @@ impl Place {
         turned
     }
 
+    fn endpoint_of(&self, source: IpAddr) -> Endpoint {
+        Endpoint { source: Some(source), ..self.endpoint.clone() }
+    }
+
     async fn allocate(&self, keys: &Keys, name: &str, source: IpAddr) -> Result<Credentials, GatewayError> {
         let (name, keyring) = (name.parse().expect("a name"), &keys.keyring);
         let envelope = keyring.envelope.public;
         let applicant = Applicant { name: &name, signing: &keyring.signing, envelope, account: &keyring.eoa };
         let mut trust = Trust::pinned(self.key);
-        let (key, _) = Client::allocate_from(Some(source), &self.endpoint, &mut trust, &applicant).await?;
+        let (key, _) = Client::allocate(&self.endpoint_of(source), &mut trust, &applicant).await?;
         Ok(Credentials { name, key, token: keys.token() })
     }
 
     async fn connect(&self, credentials: &Credentials, source: IpAddr) -> Result<Client, GatewayError> {
-        Client::connect_from(Some(source), &self.endpoint, &mut Trust::pinned(self.key), credentials).await
+        Client::connect(&self.endpoint_of(source), &mut Trust::pinned(self.key), credentials).await
     }
 }
 

@@ -8,8 +8,7 @@ use std::time::{Duration, Instant};
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
 use k256::ecdsa::SigningKey;
-use rusqlite::config::DbConfig;
-use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
+use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, config::DbConfig, params};
 use tokio::sync::oneshot;
 use zeroize::Zeroizing;
 

@@ -5,12 +5,9 @@ use std::sync::Arc;
 use alloy_primitives::{Address as EvmAddress, Bytes, KECCAK256_EMPTY, TxKind, U256};
 use revm::context::result::{EVMError, ExecutionResult, HaltReason, InvalidTransaction, Output};
 use revm::context::{BlockEnv, Evm, TxEnv};
-use revm::database::CacheDB;
-use revm::handler::EthFrame;
-use revm::handler::instructions::EthInstructions;
 use revm::interpreter::interpreter::EthInterpreter;
-use revm::primitives::hardfork::SpecId;
-use revm::{Context, DatabaseCommit, ExecuteEvm, MainBuilder, MainContext};
+use revm::{Context, DatabaseCommit, ExecuteEvm, MainBuilder, MainContext, database::CacheDB, handler::EthFrame};
+use revm::{handler::instructions::EthInstructions, primitives::hardfork::SpecId};
 
 use super::pool::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
 use super::world::{Tries, Unread};

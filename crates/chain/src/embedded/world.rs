@@ -6,9 +6,8 @@ use std::{cell::RefCell, rc::Rc, sync::Arc};
 use alloy_primitives::{B256, Bytes, KECCAK256_EMPTY, U256, keccak256};
 use alloy_rlp::{Decodable, decode_exact};
 use alloy_trie::TrieAccount;
-use revm::DatabaseRef;
-use revm::database_interface::DBErrorMarker;
 use revm::state::{Account, AccountInfo, Bytecode, EvmState};
+use revm::{DatabaseRef, database_interface::DBErrorMarker};
 use rusqlite::{Connection, OptionalExtension, Transaction, params};
 
 use super::file::{ChainFile, integer};

@@ -65,11 +65,9 @@ async fn the_status_of_http_is_told_and_what_to_do() {
         ("301 Moved\r\nLocation: https://new.example/KEY", ["https://new.example/…", "HTTP 301", "chain.url"]),
     ] {
         let port = saying(lines, "<html>a page</html>");
-        for scheme in ["http", "ws"] {
-            let text = words(&format!("{scheme}://127.0.0.1:{port}"), "eth_chainId").await;
-            assert!(said.iter().all(|part| text.contains(part)), "{lines}, {scheme}: {text}");
-            assert!(!text.contains("KEY"), "{text}");
-        }
+        let text = words(&format!("http://127.0.0.1:{port}"), "eth_chainId").await;
+        assert!(said.iter().all(|part| text.contains(part)), "{lines}: {text}");
+        assert!(!text.contains("KEY"), "{text}");
     }
     let port = saying("401 Unauthorized", "");
     let text = words(&format!("http://me:SECRET@127.0.0.1:{port}"), "eth_chainId").await;
@@ -87,17 +85,15 @@ async fn an_error_of_json_rpc_counts_whatever_the_status() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn user_name_and_password_are_sent_over_every_kind_of_http() {
+async fn user_name_and_password_are_sent() {
     let (sender, heads) = std::sync::mpsc::channel();
     let port = server(move |mut stream| {
         drop(sender.send(head(&mut stream).to_lowercase()));
     });
-    for scheme in ["http", "ws"] {
-        drop(asked(&format!("{scheme}://op:geheim@127.0.0.1:{port}/x"), "eth_chainId").await);
-        let head = heads.recv_timeout(Duration::from_secs(10)).expect("a request");
-        // python3: base64.b64encode(b"op:geheim")
-        assert!(head.contains("authorization: basic b3a6z2vozwlt\r\n") && head.contains(" /x http/1.1"), "{head}");
-    }
+    drop(asked(&format!("http://op:geheim@127.0.0.1:{port}/x"), "eth_chainId").await);
+    let head = heads.recv_timeout(Duration::from_secs(10)).expect("a request");
+    // python3: base64.b64encode(b"op:geheim")
+    assert!(head.contains("authorization: basic b3a6z2vozwlt\r\n") && head.contains(" /x http/1.1"), "{head}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -113,35 +109,6 @@ async fn an_endless_answer_is_cut_at_its_limit() {
     assert_eq!(asked(&url, "eth_getLogs").await, Err(TransportError::TooLong(WIDE.bytes)));
     let text = words(&url, "eth_getBlockByNumber").await;
     assert!(text.contains("sent more than 4 MiB, which no answer of eth_getBlockByNumber has"), "{text}");
-}
-
-/// The answer to a WebSocket's request, by its key.
-fn upgrade(head: &str) -> String {
-    use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
-    let key = head.lines().find(|line| line.to_lowercase().starts_with("sec-websocket-key:"));
-    let key = key.and_then(|line| line.split_once(':')).expect("a key").1.trim().to_owned();
-    let accept = derive_accept_key(key.as_bytes());
-    let lines = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
-    format!("{lines}Sec-WebSocket-Accept: {accept}\r\n\r\n")
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_endless_message_of_a_web_socket_is_cut_at_its_limit() {
-    // One frame that says it has 2^40 bytes, and one message of ever more frames.
-    let claimed = (vec![0x81, 127, 0, 0, 1, 0, 0, 0, 0, 0], Vec::new());
-    let piecewise = (vec![0x01, 0], vec![0x00, 126, 255, 255]);
-    for (first, further) in [claimed, piecewise] {
-        let port = server(move |mut stream| {
-            let head = head(&mut stream);
-            drop(stream.write_all(upgrade(&head).as_bytes()));
-            drop(stream.read(&mut [0; 4096]));
-            let frame = [further.clone(), vec![b'0'; 65_535]].concat();
-            drop(stream.write_all(&first));
-            while stream.write_all(&frame).is_ok() {}
-        });
-        let answer = asked(&format!("ws://127.0.0.1:{port}"), "eth_chainId").await;
-        assert_eq!(answer, Err(TransportError::TooLong(USUAL.bytes)));
-    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -179,10 +146,8 @@ async fn a_port_without_tls_is_named_as_such() {
         drop(stream.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n"));
         drop(stream.read(&mut [0; 4096]));
     });
-    for scheme in ["https", "wss"] {
-        let text = words(&format!("{scheme}://127.0.0.1:{port}"), "eth_chainId").await;
-        assert!(text.contains("does not speak TLS"), "{text}");
-    }
+    let text = words(&format!("https://127.0.0.1:{port}"), "eth_chainId").await;
+    assert!(text.contains("does not speak TLS"), "{text}");
     let port = saying("400 Bad Request", "<html>The plain HTTP request was sent to HTTPS port</html>");
     let text = words(&format!("http://127.0.0.1:{port}"), "eth_chainId").await;
     assert!(text.contains("speaks TLS at this port") && text.contains("https://"), "{text}");

@@ -1,16 +1,16 @@
 //! Certificates (X.509) as far as time stamp authorities need them.
 
-use super::{TimeError, form, outer, seconds};
 use authros_crypto::der::{BITS, BOOLEAN, Der, Element, NULL, OCTETS, SEQUENCE, SET, context, primitive};
 use authros_model::{Timestamp, clean};
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use ring::digest::{self, SHA256, SHA384, SHA512};
 use ring::signature::{
     ECDSA_P256_SHA256_ASN1, ECDSA_P256_SHA384_ASN1, ECDSA_P384_SHA256_ASN1, ECDSA_P384_SHA384_ASN1,
     RSA_PKCS1_2048_8192_SHA256, RSA_PKCS1_2048_8192_SHA384, RSA_PKCS1_2048_8192_SHA512, RSA_PSS_2048_8192_SHA256,
     RSA_PSS_2048_8192_SHA384, RSA_PSS_2048_8192_SHA512, UnparsedPublicKey, VerificationAlgorithm,
 };
+
+use super::{TimeError, form, outer, seconds};
 
 const PART: &str = "certificate";
 const BEGIN: &str = "-----BEGIN CERTIFICATE-----";

@@ -553,12 +553,8 @@ fn token_name(token: &[u8]) -> String {
     format!("{}.der", digits.get(..TOKEN_DIGITS).unwrap_or_default())
 }
 
-pub(crate) fn members(
-    tree: &StampTree,
-    wanted: &[Hash],
-    tokens: &[Vec<u8>],
-) -> Result<Vec<(String, Vec<u8>)>, BundleError> {
-    let (imprint, text) = tree.listed(wanted)?;
+pub(crate) fn files(tree: &StampTree, of: &[Hash], tokens: &[Vec<u8>]) -> Result<Vec<(String, Vec<u8>)>, BundleError> {
+    let (imprint, text) = tree.listed(of)?;
     let folder = format!("{STAMPS}/{}", imprint.to_hex());
     let tokens =
         tokens.iter().take(MOST_TOKENS).map(|token| (format!("{folder}/{}", token_name(token)), token.clone()));

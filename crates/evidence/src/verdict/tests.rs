@@ -6,8 +6,8 @@ use authros_model::{Address, Timestamp};
 use serde_json::Value;
 use strum::VariantArray as _;
 
-use super::facts::{Fact, Facts, Fields};
 use super::*;
+use super::{Fact, Facts, Fields};
 use crate::report::{Outcome, Reason, Standing};
 use crate::tests::world::{World, ours, sealed};
 use crate::{Bundle, Person, verify};
@@ -207,9 +207,9 @@ fn numbers_times_and_spans_are_short() {
         assert_eq!(grouped(number), text);
     }
     let at = |second: u64| Timestamp(1_700_000_000_500_000_000 + second * 1_000_000_000);
-    assert_eq!(facts::span(at(0), at(0)), "2023-11-14 22:13:20 UTC");
-    assert_eq!(facts::span(at(0), at(100)), "2023-11-14 22:13:20 to 22:15:00 UTC");
-    assert_eq!(facts::span(at(0), at(86_400)), "2023-11-14 22:13:20 to 2023-11-15 22:13:20 UTC");
+    assert_eq!(super::span(at(0), at(0)), "2023-11-14 22:13:20 UTC");
+    assert_eq!(super::span(at(0), at(100)), "2023-11-14 22:13:20 to 22:15:00 UTC");
+    assert_eq!(super::span(at(0), at(86_400)), "2023-11-14 22:13:20 to 2023-11-15 22:13:20 UTC");
     assert_eq!(wrapped("one two three", 8), ["one two", "  three"]);
     let fields: Fields = BTreeMap::from([("n", Fact::Number(1)), ("name", Fact::Text("{n} </b>".to_owned()))]);
     assert_eq!(

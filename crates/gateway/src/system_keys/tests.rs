@@ -19,8 +19,7 @@ fn day(number: u64) -> Timestamp {
 fn list(identity: &SmKeyPair) -> SystemKeyList {
     let key = |byte, from| SystemKey { public: pair(byte).public, not_before: day(from), not_after: day(from + 7) };
     let keys = vec![key(0x51, 0), key(0x52, 7)];
-    let context = context();
-    SystemKeyList::sign(context.provider, context.domain, identity, 9, (day(0), day(14)), keys).expect("signs")
+    SystemKeyList::sign(context(), identity, 9, (day(0), day(14)), keys).expect("signs")
 }
 
 fn agreed(identity: &SmKeyPair, list: &SystemKeyList) -> Agreed {
@@ -35,7 +34,7 @@ fn agreed(identity: &SmKeyPair, list: &SystemKeyList) -> Agreed {
 }
 
 fn checked(list: &SystemKeyList, agreed: &Agreed, now: Timestamp) -> Result<SystemKey, GatewayError> {
-    list.check(context().provider, &context().domain, agreed, now)
+    list.check(context(), agreed, now)
 }
 
 #[test]
@@ -61,7 +60,7 @@ fn lists_of_other_gateways_networks_and_versions_are_refused() {
     let theirs = list(&other);
     assert!(refused(&theirs, &meant).contains("another gateway"));
     let away = Context { domain: Domain([9; 32]), ..context() };
-    assert!(ours.check(away.provider, &away.domain, &meant, day(1)).is_err());
+    assert!(ours.check(away, &meant, day(1)).is_err());
     let stale = Agreed { list: ListSummary { version: 10, ..meant.list }, ..meant };
     assert!(refused(&ours, &stale).contains("announced"));
     // Signed by another key, but announced as if it were the gateway's.
@@ -95,7 +94,7 @@ proptest! {
 
 fn open(home: &std::path::Path, now: Timestamp) -> Cabinet {
     let schedule = Schedule { lifetime: 7 * DAY, grace: DAY };
-    Cabinet::open(home, context().provider, context().domain, pair(0x21), schedule, now).expect("opens")
+    Cabinet::open(home, context(), pair(0x21), schedule, now).expect("opens")
 }
 
 fn key_files(home: &std::path::Path) -> Vec<std::path::PathBuf> {
@@ -183,7 +182,7 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     assert!(!stray.exists(), "a key that no list names is erased");
 
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("chmod");
-    let again = || Cabinet::open(&path, context().provider, context().domain, pair(0x21), Schedule::default(), day(1));
+    let again = || Cabinet::open(&path, context(), pair(0x21), Schedule::default(), day(1));
     assert!(again().err().is_some_and(|error| error.to_string().contains("chmod 700")));
     fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).expect("chmod");
     let file = path.join("system-keys.list");
@@ -191,7 +190,7 @@ fn files_are_private_and_strays_and_damage_are_noticed() {
     bytes[80] ^= 1;
     fs::write(&file, bytes).expect("writes");
     assert!(again().is_err(), "a list that the identity did not sign");
-    let other = Cabinet::open(&path, context().provider, context().domain, pair(0x31), Schedule::default(), day(1));
+    let other = Cabinet::open(&path, context(), pair(0x31), Schedule::default(), day(1));
     assert!(other.is_err(), "another identity does not take the list over");
 }
 
@@ -225,7 +224,7 @@ impl Shelf for Together {
 
 fn worker(together: &Together, now: Timestamp) -> Cabinet {
     let (schedule, shelf) = (Schedule { lifetime: 7 * DAY, grace: DAY }, Box::new(together.clone()));
-    Cabinet::on(shelf, context().provider, context().domain, pair(0x21), schedule, now).expect("opens")
+    Cabinet::on(shelf, context(), pair(0x21), schedule, now).expect("opens")
 }
 
 #[test]

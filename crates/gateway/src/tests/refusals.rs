@@ -367,7 +367,7 @@ fn lists_that_are_stale_or_of_others_are_refused_by_the_client() {
     let key = SystemKey { public: pair(0x51).public, not_before: Timestamp(100), not_after: Timestamp(900) };
     let list = |domain, identity: &SmKeyPair, version| {
         let dates = (Timestamp(100), Timestamp(1000));
-        SystemKeyList::sign(provider, domain, identity, version, dates, vec![key]).expect("signs")
+        SystemKeyList::sign(Context { provider, domain }, identity, version, dates, vec![key]).expect("signs")
     };
     let agreed = |list: &SystemKeyList| Agreed {
         gateway: crate::crypto::signer_id(&identity.public),
@@ -378,7 +378,7 @@ fn lists_that_are_stale_or_of_others_are_refused_by_the_client() {
         list: list.summary(provider),
     };
     let told = |list: &SystemKeyList, announced: &SystemKeyList, now| {
-        list.check(provider, &domain, &agreed(announced), Timestamp(now)).map(|_| ()).map_err(|error| error.to_string())
+        list.check(context(), &agreed(announced), Timestamp(now)).map(|_| ()).map_err(|error| error.to_string())
     };
     let good = list(domain, &identity, 7);
     assert_eq!(told(&good, &good, 500), Ok(()));

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::stage::{Stage, refusal};
 use super::*;
-use crate::gateway::command::relay::LONGEST_PARAMETERS;
+use crate::gateway::command::messages::LONGEST_PARAMETERS;
 use crate::model::Domain;
 
 const PATIENCE: Duration = Duration::from_secs(30);

@@ -32,7 +32,8 @@ impl Stage {
         let desk = Arc::new(MemoryDesk::default());
         let server = serve(home.path(), &desk, limits, identity).await;
         let address = server.address().to_string();
-        let endpoint = Endpoint { addresses: vec![address], context: context(), patience: Duration::from_secs(30) };
+        let endpoint =
+            Endpoint { addresses: vec![address], context: context(), patience: Duration::from_secs(30), source: None };
         Self { desk, server, endpoint, limits, identity, home }
     }
 
@@ -71,7 +72,7 @@ impl Stage {
 
 async fn serve(home: &std::path::Path, desk: &Arc<MemoryDesk>, limits: Limits, identity: u8) -> Server {
     let (path, context, schedule) = (home.join("gateway"), context(), Schedule::default());
-    let cabinet = Cabinet::open(&path, context.provider, context.domain, pair(identity), schedule, Timestamp::now());
+    let cabinet = Cabinet::open(&path, context, pair(identity), schedule, Timestamp::now());
     let desk = Arc::clone(desk) as Arc<dyn Desk>;
     Server::start("127.0.0.1:0", desk, context, cabinet.expect("opens"), limits).await.expect("listens")
 }

@@ -1,23 +1,19 @@
 //! The outbox, and the line to the gateway: connects at the first address that answers, sends, and follows the feed.
 //! From a later address it goes back as soon as the gateway answers at an earlier one.
 
-use std::collections::HashSet;
-use std::convert::Infallible;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+use std::{collections::HashSet, convert::Infallible, path::PathBuf};
 
 use tokio::sync::{Notify, watch};
 use tokio::task::{JoinSet, block_in_place};
 use tokio::time::sleep;
 
 use super::{CopyKeeping, Errand, ForwardError, Gate, LONGEST_RETRY, Link, Pace, Proofs, is_about_a_record};
-use crate::crypto::random_bytes;
 use crate::gateway::{Client, GatewayError, Upload};
 use crate::model::{Address, Digest, RecordState, Timestamp, clean, counted};
-use crate::store::files::free_bytes;
 use crate::store::{KeptReceipt, RecordQuery};
-use crate::{PipelineError, Plant, Result};
+use crate::{PipelineError, Plant, Result, crypto::random_bytes, store::files::free_bytes};
 
 /// How long a gateway with several addresses may be silent before it is polled.
 const SILENCE: Duration = Duration::from_secs(3);

@@ -3,18 +3,15 @@
 
 use std::collections::{HashMap, HashSet};
 
-use tokio::runtime::Handle;
-use tokio::task::JoinSet;
+use tokio::{runtime::Handle, task::JoinSet};
 
-use super::report::{FindingKind, Tally};
+use super::{FindingKind, Tally};
 use super::{Network, Plant, Scope, Stop};
-use crate::PipelineError;
 use crate::chain::{Chain, ChainError, Event, EventAt};
-use crate::chain_proofs::is_root_in;
 use crate::model::{Address, Digest, Hash, Timestamp, counted, grouped};
-use crate::record_audit;
 use crate::store::notes::{CopiedAt, RestoredAt};
 use crate::store::{AuditedBatch, Inspection, Notes, StoreError};
+use crate::{PipelineError, chain_proofs::is_root_in, record_audit};
 
 /// Batches requested at once.
 const PAGE: usize = 16;

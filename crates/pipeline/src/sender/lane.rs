@@ -6,8 +6,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use tokio::sync::OwnedMutexGuard;
 
-use super::Sender;
-use super::tend::Memory;
+use super::{Sender, tend::Memory};
 use crate::chain::{Call, Chain, ChainError, Nonces, Priced, Shortfall, SignedTransaction, offered, passed_by};
 use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, Hash, Timestamp, Wei};

@@ -3,7 +3,6 @@
 
 mod lane;
 mod tend;
-mod waiting;
 
 pub use self::lane::{Lane, LaneState, Outgoing, PauseReason};
 
@@ -13,10 +12,9 @@ use std::time::{Duration, Instant};
 
 use self::lane::Cell;
 use crate::chain::{Call, Chain, Policy, Priced, Receipt, Shortfall, offered};
-use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, Wei, clean};
 use crate::store::{Ledger, TransactionRow, TransactionState};
-use crate::{Observer, PipelineError, Result};
+use crate::{Observer, PipelineError, Result, crypto::EoaSecret};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;

@@ -4,9 +4,8 @@ use std::collections::HashMap;
 
 use crate::chain::{Event, EventAt};
 use crate::model::{Address, Digest, Hash, Timestamp, counted};
-use crate::pipeline::{Plant, Result};
-use crate::store::AuditEntry;
 use crate::store::notes::{CopiedAt, ForeignAnchors, ForeignHistory, SeenForeign};
+use crate::{Plant, Result, store::AuditEntry};
 
 /// Time it stays in `status`, nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;

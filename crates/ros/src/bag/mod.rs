@@ -7,13 +7,11 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, SeekFrom, Write};
 use std::sync::Arc;
 
-use crate::model::Timestamp;
-use crate::ros::recording::{
+use crate::recording::{
     BAG_TOPIC, CHUNK_THRESHOLD, Channel, ChunkCompression, Encoding, LARGEST_CHUNK, MOST_CHANNELS, RecordingFormat,
     kept_about, pack,
 };
-use crate::ros::tcpros::LONGEST_MESSAGE;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, model::Timestamp, tcpros::LONGEST_MESSAGE};
 
 pub use reader::BagReader;
 

@@ -6,12 +6,11 @@ use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use super::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, MAGIC, Op, connection, sized};
-use crate::ros::recording::{
+use crate::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
     RecordingFormat, RecordingReader, TOO_LARGE, go_to, read_at, unpack,
 };
-use crate::ros::tcpros::LONGEST_MESSAGE;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, tcpros::LONGEST_MESSAGE};
 
 /// Limit of chunk positions kept from the index.
 const MOST_PLACES: usize = 1 << 20;

@@ -1,20 +1,16 @@
 //! One thread for each publisher: after a loss it tries again while the master lists the publisher.
 
-use std::collections::BTreeSet;
-use std::io;
-use std::net::TcpStream;
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
+use std::{collections::BTreeSet, io, net::TcpStream, sync::Arc, sync::atomic::Ordering};
 
 use super::topic::{Origin, Publisher, Sequence, Topic, header_seq, host_of};
 use super::{CaptureNotice, Message, Shared};
+use crate::graph::{Graph, Unreached};
+use crate::message::Definition;
 use crate::model::{Timestamp, TypeName, clean};
-use crate::ros::address::{Endpoint, UNRESOLVED, connect};
-use crate::ros::graph::{Graph, Unreached};
-use crate::ros::message::Definition;
-use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
-use crate::ros::xmlrpc::{CallError, Value, call};
+use crate::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
+use crate::tcpros::{Endpoint, UNRESOLVED, connect};
+use crate::xmlrpc::{CallError, Value, call};
 
 /// Limit of each of requesting, connecting and shaking hands.
 const PATIENCE: Duration = Duration::from_secs(2);

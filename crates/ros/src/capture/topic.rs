@@ -8,10 +8,8 @@ use std::time::{Duration, Instant};
 
 use super::TopicCapture;
 use crate::model::{Timestamp, TopicName, TypeName, clean, pinned_name};
-use crate::ros::address::{Endpoint, resolve};
-use crate::ros::graph::Unreached;
-use crate::ros::lock;
-use crate::ros::tcpros::BusLink;
+use crate::tcpros::{Endpoint, resolve};
+use crate::{graph::Unreached, lock, tcpros::BusLink};
 
 /// Further addresses are refused silently.
 const MOST_COMPLAINTS: usize = 64;

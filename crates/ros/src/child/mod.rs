@@ -1,21 +1,18 @@
 //! A program without keys that speaks with the network for the site: found, started, supervised, ended.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fs::File;
 use std::io::{BufReader, Read, Write};
-use std::os::fd::AsRawFd as _;
-use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use std::{fs::File, os::fd::AsRawFd as _, os::unix::process::CommandExt as _, thread::JoinHandle};
 
-use crate::model::clean;
+use serde::Serialize;
+
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
 use crate::pipe::{VERSION, receive, send};
-use crate::ros::{Result, RosError, lock};
-use serde::Serialize;
+use crate::{Result, RosError, lock, model::clean};
 
 const NOBODY: u32 = 65534;
 /// Shown where the kernel raises no walls around such a program.

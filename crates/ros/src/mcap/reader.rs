@@ -8,16 +8,13 @@ use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use self::growing::Growing;
-
-use super::beside::{Beside, BesideContent, TOPIC};
+use super::{BESIDE, Beside, BesideContent};
 use super::{ChannelRecord, Code, Fields, LATEST, LEAD, MAGIC, Schema, TAIL, schema};
-use crate::model::Timestamp;
-use crate::ros::recording::{
+use crate::recording::{
     Channel, Chunk, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage,
     RecordingReader, Sent, TOO_LARGE, go_to, kept_about, read_at, unpack, unpacked_body,
 };
-use crate::ros::tcpros::LONGEST_MESSAGE;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, model::Timestamp, tcpros::LONGEST_MESSAGE};
 
 /// Of other records than messages and chunks, bytes; they may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
@@ -337,7 +334,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                     self.besides.met += 1;
                     let most = format!("a record holds at most {LONGEST_MESSAGE}");
                     self.findings
-                        .leave_out(TOPIC, &format!("the {word} {name} of {length} bytes is too large: {most}"));
+                        .leave_out(BESIDE, &format!("the {word} {name} of {length} bytes is too large: {most}"));
                     return Ok(None);
                 }
                 let content = read_at(&mut self.file, data, length)?;

@@ -1,16 +1,12 @@
 //! Decodes a body by its definition, within limits, into a tree that keeps the order of fields. Texts are untrusted and
 //! cleaned on output.
 
-use std::borrow::Cow;
-use std::fmt::Write as _;
-use std::ops::Range;
-use std::sync::Arc;
+use std::{borrow::Cow, fmt::Write as _, ops::Range, sync::Arc};
+
+use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 use super::definition::{Arity, Definition, Field, Kind, Layout, Primitive, element_size};
-use crate::model::clean;
-use crate::model::wire::WireError;
-use crate::ros::{Result, RosError};
-use serde::ser::{Serialize, SerializeMap as _, Serializer};
+use crate::{Result, RosError, model::clean, model::wire::WireError};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {

@@ -1,13 +1,12 @@
 //! Definitions of ROS 1 messages: their layout with every nested type resolved, their md5sum, and built-in types.
 
-use std::collections::HashMap;
-use std::sync::Arc;
+use std::{collections::HashMap, sync::Arc};
+
+use md5::{Digest as _, Md5};
 
 use super::{md5sum, ros2};
-use crate::model::bytes::hex;
 use crate::model::topic::{LONGEST_NAME, TypeName};
-use crate::ros::{Result, RosError};
-use md5::{Digest as _, Md5};
+use crate::{Result, RosError, model::bytes::hex};
 
 /// Bytes.
 pub const LONGEST_DEFINITION: usize = 1 << 20;

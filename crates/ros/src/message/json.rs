@@ -6,9 +6,7 @@ use std::io::{self, Write};
 use super::decode::{Failure, Limits, Value, Walk};
 use super::definition::{Arity, Definition, Field, Kind, Layout};
 use crate::crypto::compression::{MOST_CHANNELS, Matrix};
-use crate::model::bytes::hex;
-use crate::model::spelt_out;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, model::bytes::hex, model::spelt_out};
 
 impl Definition {
     /// Fields keep their order and numbers their value; numbers that JSON lacks become text (`NaN`, `inf`), texts that

@@ -1,22 +1,16 @@
 //! ROS 2 definitions: `.msg` texts with all their types, and the hash that identifies them. They become the same
 //! layouts as ROS 1 messages; only bodies differ.
 
-use std::borrow::Cow;
 use std::collections::{BTreeSet, HashMap};
-use std::ffi::OsStr;
-use std::fmt::Write as _;
-use std::fs::File;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
+use std::{borrow::Cow, ffi::OsStr, fmt::Write as _, fs::File, io::Read as _, sync::LazyLock};
+
+use sha2::{Digest as _, Sha256};
 
 use super::definition::{
     Arity, Definition, Field, Kind, LONGEST_DEFINITION, Layout, MOST_TYPES, Nesting, Primitive, is_name, sections,
 };
-use crate::model::bytes::hex;
-use crate::model::topic::LONGEST_NAME;
-use crate::ros::{Result, RosError};
-use sha2::{Digest as _, Sha256};
+use crate::{Result, RosError, model::bytes::hex, model::topic::LONGEST_NAME};
 
 impl Definition {
     /// `text` is as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type` sections. Fails if it is too

@@ -4,25 +4,20 @@
 
 mod outlet;
 
-use std::collections::BTreeMap;
 use std::io::{self, Write as _};
-use std::net::TcpStream;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use std::{collections::BTreeMap, net::TcpStream, path::Path, thread::JoinHandle};
 
-use crate::model::clean;
-use crate::pipe::LONGEST_PAYLOAD;
-use crate::pipe::write::{Described, Order};
-use crate::ros::address::{Endpoint, own_host};
-use crate::ros::child::{self, Declined, Errand, Run};
-use crate::ros::graph::master_error;
-use crate::ros::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
-use crate::ros::xmlrpc::{CallError, Server, Value, call};
-use crate::ros::{Result, RosError, lock};
 use outlet::Outlet;
+
+use crate::child::{self, Declined, Errand, Run};
+use crate::pipe::write::{Described, Order};
+use crate::tcpros::{BusLink, ConnectionHeader, FrameReader, Node, Poll, SlaveServer, listen};
+use crate::tcpros::{Endpoint, own_host};
+use crate::xmlrpc::{CallError, Server, Value, call};
+use crate::{Result, RosError, graph::master_error, lock, model::clean, pipe::LONGEST_PAYLOAD};
 
 /// Limit of the master's answers, and of resolving names.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -46,6 +41,11 @@ pub trait GraphPublisher: Send + Sync {
     /// A message of `source`; false if the topic is not announced, or nobody publishes now. May block where
     /// [`Self::may_block`].
     fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool;
+
+    /// Whether the topic may have subscribers.
+    fn is_heard(&self, _topic: &str) -> bool {
+        true
+    }
 
     /// Whether publishing may wait for a full pipe.
     fn may_block(&self) -> bool {
@@ -199,6 +199,10 @@ impl GraphPublisher for Publisher {
 
     fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
         Self::publish(self, topic, source, body)
+    }
+
+    fn is_heard(&self, topic: &str) -> bool {
+        self.subscribers(topic) > 0
     }
 
     fn is_crowded(&self) -> bool {

@@ -1,16 +1,15 @@
 //! One published topic and its subscribers, each with a bounded queue and its own writer thread, so that a slow one
 //! delays nobody; messages beyond its queue are dropped and counted.
 
-use std::collections::VecDeque;
-use std::io::Write as _;
 use std::net::{Shutdown, TcpStream};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use std::{collections::VecDeque, io::Write as _};
 
 use super::Advertised;
-use crate::ros::lock;
-use crate::ros::tcpros::{BusLink, ConnectionHeader};
+use crate::lock;
+use crate::tcpros::{BusLink, ConnectionHeader};
 
 /// Sources whose last message a latching topic keeps.
 const MOST_LATCHED: usize = 64;

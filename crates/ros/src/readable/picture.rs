@@ -3,16 +3,17 @@
 
 use std::io::Cursor;
 
-use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, float, floats, metres, number, shown, text};
-use crate::model::{ErrorKind, base64_text, clean};
-use crate::ros::message::{Definition, Limits, Value};
 use jpeg_encoder::{ColorType as JpegColour, Encoder as JpegEncoder, SamplingFactor};
 use png::{BitDepth, ColorType, Transformations};
 use serde::{Deserialize, Serialize};
 use zune_jpeg::JpegDecoder;
-use zune_jpeg::zune_core::bytestream::ZCursor;
-use zune_jpeg::zune_core::colorspace::ColorSpace;
-use zune_jpeg::zune_core::options::DecoderOptions;
+use zune_jpeg::{
+    zune_core::bytestream::ZCursor, zune_core::colorspace::ColorSpace, zune_core::options::DecoderOptions,
+};
+
+use super::{Body, MOST_POINTS, Matrix, Plot, Readable, Table, float, floats, metres, number, shown, text};
+use crate::message::{Definition, Limits, Value};
+use crate::model::{ErrorKind, base64_text, clean};
 
 const QUALITY: u8 = 92;
 

@@ -4,19 +4,17 @@
 mod described;
 pub mod tags;
 
-use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
-use std::path::Path;
-use std::sync::Arc;
+use std::{collections::BTreeMap, fs::File, path::Path, sync::Arc};
 
-use crate::model::{Timestamp, clean};
-use crate::ros::bag::{self, BagReader, BagWriter};
-use crate::ros::mcap::{self, McapReader, McapWriter};
-use crate::ros::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
-use crate::ros::tcpros::LONGEST_MESSAGE;
-use crate::ros::{Result, RosError};
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, IntoStaticStr};
+
+use crate::bag::{self, BagReader, BagWriter};
+use crate::mcap::{self, McapReader, McapWriter};
+use crate::model::{Timestamp, clean};
+use crate::rosbag2::{Db3Reader, FolderReader, SQLITE, unpacked};
+use crate::{Result, RosError, tcpros::LONGEST_MESSAGE};
 
 pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
 pub use described::{Described, TYPE_HASH, TypeFacts};
@@ -233,19 +231,7 @@ impl Findings {
     }
 }
 
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    Serialize,
-    Deserialize,
-    strum::Display,
-    strum::EnumString,
-    strum::IntoStaticStr,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, Display, EnumString, IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case", parse_err_ty = String, parse_err_fn = not_a_compression)]
 pub enum ChunkCompression {
@@ -380,7 +366,7 @@ pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> std::io::Resul
 
 const BUFFER: usize = 256 * 1024;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum RecordingFormat {

@@ -15,13 +15,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use state::{Outcome, State};
+
+use crate::child::{self, Errand, Restarts, Run, Silence, TICK};
 use crate::model::{TopicName, counted};
 use crate::pipe::read::{Told, Wish};
-use crate::pipe::write::Order;
 use crate::pipe::{LONGEST_PAYLOAD, receive, send};
-use crate::ros::child::{self, Errand, Restarts, Run, Silence, TICK};
-use crate::ros::{CaptureNotice, MessageSink, Result, RosError, lock};
-use state::{Outcome, State};
+use crate::{CaptureNotice, MessageSink, Result, RosError, lock, pipe::write::Order};
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
 pub use crate::pipe::read::{Counts, Quality};

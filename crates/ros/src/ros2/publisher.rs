@@ -1,15 +1,12 @@
 //! One publisher of a ROS 2 topic, and its messages.
 
-use std::sync::Arc;
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use crate::model::{Timestamp, clean};
 use crate::pipe::read::{Liveliness, Quality, Writer};
-use crate::ros::capture::next_number;
-use crate::ros::recording::{TYPE_HASH, tags};
-use crate::ros::ros2::identity::{Held, Pulse};
-use crate::ros::ros2::state::Numbers;
-use crate::ros::{CaptureNotice, Message, Origin};
+use crate::recording::{TYPE_HASH, tags};
+use crate::ros2::identity::{Held, Pulse};
+use crate::{CaptureNotice, Message, Origin, capture::next_number, ros2::state::Numbers};
 
 /// MCAP's name for the QoS of a channel's publishers.
 pub const QUALITY: &str = "offered_qos_profiles";

@@ -7,12 +7,10 @@ use std::time::{Duration, Instant};
 use super::identity::{self, Descriptions, Held, Place};
 use super::publisher::{Publisher, name};
 use super::{Reading, Ros2Topic};
-use crate::model::topic::LONGEST_NAME;
+use crate::child::{Participant, other_version};
 use crate::model::{Timestamp, TopicName, clean};
-use crate::pipe::VERSION;
 use crate::pipe::read::{Counts, Told, Wish, Writer};
-use crate::ros::child::{Participant, other_version};
-use crate::ros::{CaptureNotice, Message, Origin};
+use crate::{CaptureNotice, Message, Origin, model::topic::LONGEST_NAME, pipe::VERSION};
 
 const MOST_PUBLISHERS: usize = 40_000;
 /// The program must have found all present publishers again by then.

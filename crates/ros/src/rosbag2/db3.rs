@@ -3,23 +3,19 @@
 //! the order, on disk where it grows: memory holds one message.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::SystemTime;
+use std::{os::unix::ffi::OsStrExt as _, sync::Arc, time::SystemTime};
 
-use rusqlite::config::DbConfig;
-use rusqlite::types::ValueRef;
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension as _, Row, Rows, params};
+use rusqlite::{config::DbConfig, types::ValueRef};
 
+use crate::mcap::{Beside, metadata_record};
 use crate::model::{Timestamp, clean};
-use crate::ros::mcap::{Beside, metadata_record};
-use crate::ros::recording::{
+use crate::recording::{
     Channel, Encoding, Findings, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, RecordingReader, TOO_LARGE,
     TYPE_HASH, kept_about, unpacked_body,
 };
-use crate::ros::tcpros::LONGEST_MESSAGE;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, tcpros::LONGEST_MESSAGE};
 
 const PAGE: i64 = 512;
 

@@ -1,11 +1,10 @@
 //! `metadata.yaml`: read, written, and the part of YAML that it uses: blocks, flow collections, plain, quoted and
 //! literal texts. No tags, no anchors: a text cannot grow, and every part is read once.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use crate::model::Timestamp;
-use crate::ros::recording::{Channel, Encoding, TYPE_HASH};
+use crate::recording::{Channel, Encoding, TYPE_HASH};
 
 pub const METADATA: &str = "metadata.yaml";
 

@@ -4,19 +4,17 @@ mod db3;
 mod metadata;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fs::File;
 use std::io::{BufRead as _, BufReader, BufWriter, Read, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{fs::File, sync::Arc};
 
-use crate::model::{clean, counted, grouped};
-use crate::ros::mcap::{AttachedFile, Beside};
-use crate::ros::recording::{
-    Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why,
-};
-use crate::ros::{Result, RosError};
 use metadata::Metadata;
 use tempfile::NamedTempFile;
+
+use crate::mcap::{AttachedFile, Beside};
+use crate::model::{clean, counted, grouped};
+use crate::recording::{Encoding, Findings, LARGEST_CHUNK, RecordedMessage, Recording, RecordingReader, SPOILT, why};
+use crate::{Result, RosError};
 
 pub use db3::{Db3Reader, has_journal};
 pub use metadata::{METADATA, Tally};

@@ -5,14 +5,14 @@ mod value;
 
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use std::{sync::Arc, thread::JoinHandle};
+
+use value::{parse_call, parse_response, write_call, write_fault, write_response};
 
 use crate::model::clean;
-use crate::ros::address::{Endpoint, connect, time_left};
-use value::{parse_call, parse_response, write_call, write_fault, write_response};
+use crate::tcpros::{Endpoint, connect, time_left};
 
 pub(super) use value::Value;
 
@@ -310,7 +310,7 @@ fn chunks(from: &mut impl BufRead, most: usize) -> io::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros::address::Endpoint;
+    use crate::ros::tcpros::Endpoint;
 
     struct Echo;
 

@@ -3,9 +3,8 @@
 
 use std::borrow::Cow;
 
-use quick_xml::Reader;
-use quick_xml::escape::partial_escape;
 use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, escape::partial_escape};
 
 /// Dates and base64 remain text, unchanged.
 #[derive(Debug, Clone, PartialEq)]

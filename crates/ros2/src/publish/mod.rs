@@ -1,6 +1,5 @@
 //! Orders of the site, in their order, for the writers of the domain.
 
-mod queue;
 mod writing;
 
 use std::collections::{BTreeMap, HashMap};
@@ -11,22 +10,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use crate::farewell::{Departures, Farewell};
-use crate::graph::{self, PROGRAM, Prefix};
-use crate::pipe::write::{self, Order, Report, Topic};
-use crate::pipe::{VERSION, send};
-use crate::{Ros2Error, capture, threads};
-use queue::{Outlet as _, Queue};
-use rustdds::bytes::Bytes;
 use rustdds::discovery::{DiscoveredReaderData, DiscoveredWriterData};
-use rustdds::no_key::DataWriter;
 use rustdds::policy::{DataRepresentation, Durability, History};
-use rustdds::qos::policy::XCDR_DATA_REPRESENTATION;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, DomainParticipantStatusListener, GUID,
-    Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity, StatusEvented, TopicKind,
+    Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity, StatusEvented, TopicKind, bytes::Bytes, no_key::DataWriter,
+    qos::policy::XCDR_DATA_REPRESENTATION,
 };
-use writing::{Addresses, Writing};
+use writing::{Addresses, Outlet as _, Queue, Writing};
+
+use crate::farewell::{Departures, Farewell};
+use crate::graph::{self, PROGRAM, Prefix};
+use crate::pipe::write::{Order, Report, Topic};
+use crate::pipe::{VERSION, send, write};
+use crate::{Ros2Error, capture, member};
 
 pub use writing::Encoded;
 
@@ -167,7 +164,7 @@ impl<'a, W: Write> Child<'a, W> {
             self.departures.go_on(self.audience.present());
             self.leave()?;
             if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
-                if !threads::run(1) {
+                if !member::threads_run(1) {
                     return Err(Ros2Error::Threads);
                 }
                 self.tell();

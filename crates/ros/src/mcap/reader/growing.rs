@@ -5,8 +5,7 @@ use std::io::{BufRead, Seek};
 use std::ops::Range;
 
 use super::{Code, Fields, LEAD, McapReader};
-use crate::model::Timestamp;
-use crate::ros::{Result, RosError};
+use crate::{Result, RosError, model::Timestamp};
 
 #[derive(Debug, Default)]
 pub(super) struct Growing {

@@ -195,7 +195,7 @@ impl Seat {
         (addresses, fingerprint): (Vec<String>, Option<SignerId>),
         name: &ProfileName,
     ) -> Result<Self> {
-        let endpoint = Endpoint { addresses, context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses, context, patience: PATIENCE, source: None };
         let mut trust = fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
         let (signing, account) = (owner.signing(), owner.eoa());
         let applicant = Applicant { name, signing: &signing, envelope: owner.envelope().public, account: &account };

@@ -203,18 +203,18 @@ impl Gateway {
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server> {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.parts.plant.provider;
+        let context = Context { provider, domain: *domain };
         let cabinet = block_in_place(|| {
             let (identity, schedule, now) = (keeper.gateway_identity(), Schedule::default(), Timestamp::now());
             if !self.parts.is_on_server() {
-                return Cabinet::open(&self.parts.home.gateway(), provider, *domain, identity, schedule, now);
+                return Cabinet::open(&self.parts.home.gateway(), context, identity, schedule, now);
             }
             let (notes, home) = (self.parts.plant.ledger.notes.clone(), self.parts.home.clone());
             let gateway = signer_id(&identity.public);
             let shelf = workers::SharedShelf { notes, home, provider, domain: *domain, gateway, seen: None };
-            Cabinet::on(Box::new(shelf), provider, *domain, identity, schedule, now)
+            Cabinet::on(Box::new(shelf), context, identity, schedule, now)
         })?;
         let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });
-        let context = Context { provider, domain: *domain };
         Server::start(*address, desk, context, cabinet, Limits::default())
             .await
             .map_err(|error| input(format!("the gateway cannot listen at {address}: {error}; choose another --listen")))

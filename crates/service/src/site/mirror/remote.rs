@@ -99,7 +99,7 @@ impl Remote {
 
     fn endpoint(&self, domain: Domain) -> GatewayEndpoint {
         let context = Context { provider: self.provider, domain };
-        GatewayEndpoint { addresses: self.addresses.clone(), context, patience: PATIENCE }
+        GatewayEndpoint { addresses: self.addresses.clone(), context, patience: PATIENCE, source: None }
     }
 
     fn line(&self, domain: Domain) -> Result<Arc<ChainLine>> {
