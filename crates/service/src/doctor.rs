@@ -73,7 +73,7 @@ pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
     let mut store = Sheet::default();
-    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut store));
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, false, &mut store));
     look(home, config, pinned, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
@@ -192,7 +192,7 @@ fn pin_of(home: &Home, config: &Config, sheet: &mut Sheet) -> PinResult {
 async fn look(home: &Home, config: &Config, pinned: PinResult, sheet: &mut Sheet) {
     let pinned = match pinned {
         Ok(pinned) => pinned,
-        Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
+        Err(error) => return sheet.fail_in_words("chain", &error.to_string(), DAMAGED),
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -344,7 +344,7 @@ fn keys(home: &Home, sheet: &mut Sheet) {
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
     let faults = keyring_faults(home, &known.unwrap_or_default());
     for (profile, fault) in &faults {
-        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: `authros backup restore FILE`");
+        sheet.fail_in_words(&format!("keys {profile}"), fault, DAMAGED);
     }
     profiles.retain(|one| !faults.iter().any(|(profile, _)| profile == one));
     if profiles.is_empty() && faults.is_empty() {
@@ -379,7 +379,7 @@ fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
     }
     let bytes = match snapshot::examine(&path) {
         Ok(bytes) => bytes,
-        Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
+        Err(error) => return sheet.fail_in_words("store", &error.to_string(), DAMAGED),
     };
     let glance = Glance::at(&path);
     let missed = glance.as_ref().ok().and_then(|ledger| ledger.note(&StoreWasGone {}).ok().flatten());
@@ -393,7 +393,7 @@ fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
 fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
     match checked {
         Ok(count) => sheet.ok("notes", &format!("the store's notes are readable: {}", grouped(count))),
-        Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
+        Err(error) => sheet.fail_in_words("notes", &error.to_string(), DAMAGED),
     }
 }
 
@@ -406,7 +406,7 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
     {
         sheet.warn("settings", "others can read the settings, which may have the password of store.url", &advice);
     }
-    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref()) {
+    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref(), Some(&home.watermark())) {
         Ok(found) => found,
         Err(error) => {
             sheet.fail_in_words("store", &error.to_string(), OTHER_DATABASE);
