@@ -15,9 +15,11 @@ use crate::pipeline::{network_pin_at, network_pin_in};
 use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::{STORE_LOST, is_bound, join_key, keyring_faults, misses_store, other_gateway, store_loss};
-use crate::store::notes::{ProfileAccounts, SharedSystemKeys, StoreWasGone};
-use crate::store::{CacheSettings, Glance, LeaseState, SiteLock, StoreError, cache, files, snapshot};
+use crate::site::{
+    STORE_LOST, is_bound, join_key, keyring_faults, lease_standing, misses_store, other_gateway, store_loss,
+};
+use crate::store::notes::{HoldersSettings, ProfileAccounts, SharedSystemKeys, StoreWasGone};
+use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// What a running site says of itself, and of its chain if that answers.
 pub struct Running {
@@ -342,7 +344,7 @@ fn is_secret(path: &Path) -> bool {
 fn keys(home: &Home, sheet: &mut Sheet) {
     let mut profiles = home.profiles();
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
-    let faults = keyring_faults(home, &known.unwrap_or_default());
+    let faults = keyring_faults(home, known.unwrap_or_default());
     for (profile, fault) in &faults {
         sheet.fail_in_words(&format!("keys {profile}"), fault, DAMAGED);
     }
@@ -351,16 +353,8 @@ fn keys(home: &Home, sheet: &mut Sheet) {
         sheet.warn("keys", "no profile has keys yet", "authros identity create");
     }
     for profile in profiles {
-        let name = format!("keys {profile}");
-        match read_public(&home.keyring(&profile)) {
-            Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
-            Err(error) => {
-                sheet.fail(
-                    &name,
-                    &error.to_string(),
-                    "restore the keyring from a backup: `authros backup restore FILE`",
-                );
-            }
+        if let Ok(public) = read_public(&home.keyring(&profile)) {
+            sheet.ok(&format!("keys {profile}"), &format!("account {}", public.address));
         }
     }
 }
