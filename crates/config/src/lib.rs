@@ -203,7 +203,11 @@ impl Config {
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
-            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            pin_mode: choice(
+                &values,
+                "ros.pins",
+                [("first", PinMode::First), ("list", PinMode::List), ("off", PinMode::Off)],
+            )?,
             publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             definitions: text("ros.definitions").unwrap_or_default().to_owned(),
             ros_domain,
@@ -233,7 +237,7 @@ impl Config {
             compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
-            anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
+            anchor_mode: choice(&values, "anchor.mode", [("batch", AnchorMode::Batch), ("each", AnchorMode::Each)])?,
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             operators: OperatorSettings::default(),
@@ -280,6 +284,9 @@ fn store(values: &Values) -> Result<Option<String>, ConfigError> {
     if url.is_some() && value(values, "site.address").is_some() {
         let advice = "leave it empty in a home that joins a gateway (site.address): the database is the gateway's";
         return Err(wrong(values, "store.url", advice));
+    }
+    if url.is_some() && value(values, "anchor.mode") == Some("each") {
+        return Err(wrong(values, "anchor.mode", "choose batch: a gateway's home (store.url) anchors for many owners"));
     }
     Ok(url)
 }

@@ -53,6 +53,37 @@ fn unknown_keys_and_bad_values_name_the_place() {
 }
 
 #[test]
+fn an_unknown_word_is_refused_with_those_that_are_known() {
+    for (name, known) in [
+        ("ros.meter", &["all", "watched", "auto"][..]),
+        ("ros.pins", &["first", "list", "off"]),
+        ("ros.publisher", &["own", "rosrust"]),
+        ("ros.robots_by", &["own", "rosrust"]),
+        ("chain.consensus", &["poa", "pow"]),
+        ("record.compression", &["auto", "off"]),
+        ("crypto.provider", &["authros", "rustcrypto", "libsm"]),
+        ("crypto.sm4_kernel", &["gfni-avx512", "gfni-avx2", "aesni-avx2", "portable"]),
+        ("anchor.mode", &["batch", "each"]),
+        ("metrics.open", &["yes", "no"]),
+        ("metrics.topics", &["yes", "no"]),
+        ("alerts.form", &["authros", "alertmanager"]),
+        ("gateway.admission", &["open", "closed"]),
+        ("site.trust_first", &["yes", "no"]),
+        ("console.ascii", &["yes", "no", "auto"]),
+        ("console.mouse", &["yes", "no"]),
+        ("console.pictures", &["half-blocks", "sixel", "kitty"]),
+    ] {
+        for unknown in ["every", known[0].to_uppercase().as_str()] {
+            let told = with_file(&format!("{name} = \"{unknown}\"")).expect_err(name).to_string();
+            assert!(told.starts_with(name) && known.iter().all(|word| told.contains(word)), "{told}");
+        }
+        for word in known {
+            with_file(&format!("{name} = \"{word}\"")).expect(word);
+        }
+    }
+}
+
+#[test]
 fn a_remote_site_is_an_address_and_whom_to_trust() {
     let site = |text: &str| with_file(text).map(|config| config.site);
     assert_eq!(site(""), Ok(None));
@@ -143,6 +174,8 @@ fn a_home_that_joins_a_gateway_has_no_database() {
     let both = "[store]\nurl = \"postgres://u:hunter2@h/x\"\n[site]\naddress = \"h:1\"\ntrust_first = \"yes\"\n";
     let told = with_file(both).expect_err("both").to_string();
     assert!(told.contains("store.url") && told.contains("site.address") && !told.contains("hunter2"), "{told}");
+    let each = "[store]\nurl = \"postgres://h/x\"\n[anchor]\nmode = \"each\"\n";
+    assert!(with_file(each).expect_err("many owners").to_string().contains("choose batch"));
     let config = with_file("[store]\nurl = \"postgresql://h,i/x\"\n").expect("a gateway's");
     assert_eq!(config.store_url.as_deref(), Some("postgresql://h,i/x"));
 }
