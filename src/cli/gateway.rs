@@ -235,5 +235,11 @@ fn lease(view: &LeaseView) -> Vec<String> {
         let here = if worker.is_own { ", here" } else { "" };
         format!("worker {}{here}, seen {} s ago", clean(&worker.name, 120), worker.silent)
     };
-    std::iter::once(first).chain(view.workers.iter().map(worker)).collect()
+    let unlike = (!view.unlike.is_empty()).then(|| {
+        format!(
+            "settings here that differ from the holder's: {}; set them alike at all workers",
+            view.unlike.join(", ")
+        )
+    });
+    std::iter::once(first).chain(view.workers.iter().map(worker)).chain(unlike).collect()
 }
