@@ -42,7 +42,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
         disk(home, &mut sheet);
     });
     let (mut peers, mut code) = (Sheet::default(), None);
-    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut peers));
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, runs, &mut peers));
     match site {
         Some(Ok(running)) => {
             code = running.site.worst();
@@ -184,10 +184,10 @@ const EMBEDDED: &str = "embedded";
 type PinResult = Result<Option<Pin>, StoreError>;
 
 /// Also looks at the database of a gateway's home.
-fn pin_of(home: &Home, config: &Config, sheet: &mut Sheet) -> PinResult {
+fn pin_of(home: &Home, config: &Config, runs: bool, sheet: &mut Sheet) -> PinResult {
     match &config.store_url {
         None => network_pin_in(&home.ledger()),
-        Some(url) => database(home, config, url, sheet).map_or(Ok(None), |glance| network_pin_at(&glance)),
+        Some(url) => database(home, config, (url, runs), sheet).map_or(Ok(None), |glance| network_pin_at(&glance)),
     }
 }
 
@@ -393,8 +393,9 @@ fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
 
 const OTHER_DATABASE: &str = "correct store.url";
 
-/// A gateway's database, looked at without a change; returned if it has the store's tables.
-fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Option<Glance> {
+/// A gateway's database, looked at without a change; returned if it has the store's tables. A site that `runs` speaks of the
+/// lease itself.
+fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut Sheet) -> Option<Glance> {
     if url.contains('@')
         && let Ok(Some(advice)) = files::mode_advice(&home.config())
     {
@@ -417,14 +418,7 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
         return None;
     };
     notes(glance.check_notes(), sheet);
-    match glance.lease() {
-        Ok(Some(LeaseState { holder: Some(holder), workers, .. })) => {
-            let workers = counted(workers.len() as u64, "worker");
-            sheet.ok("lease", &format!("held by {}, {workers}", holder.name));
-        }
-        Ok(_) => sheet.ok("lease", "held by no worker: `authros gateway serve` takes it"),
-        Err(error) => sheet.fail("lease", &error.to_string(), DAMAGED),
-    }
+    workers(&glance, config, runs, sheet);
     let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
     if let Some(text) = other_gateway(&known, glance.path(), home) {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);
@@ -434,6 +428,20 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
         sheet.fail("join key", &failure.message, "run `authros gateway join FILE` with a new join file");
     }
     Some(glance)
+}
+
+fn workers(glance: &Glance, config: &Config, runs: bool, sheet: &mut Sheet) {
+    match glance.lease().map(|lease| lease.filter(|_| !runs).map(|lease| lease_standing(&lease))) {
+        Ok(Some((HealthLevel::Failed, text))) => sheet.warn("lease", &text, "`authros gateway serve` takes it"),
+        Ok(Some((_, text))) => sheet.ok("lease", &text),
+        Ok(None) => {}
+        Err(error) => sheet.fail_in_words("lease", &error.to_string(), DAMAGED),
+    }
+    let unlike = config.unlike(&glance.note(&HoldersSettings {}).ok().flatten().unwrap_or_default());
+    if !unlike.is_empty() {
+        let text = format!("they differ from those of the worker that held the lease last: {}", unlike.join(", "));
+        sheet.warn("settings", &text, "set them alike at all workers, then start those again that were changed");
+    }
 }
 
 fn disk(home: &Home, sheet: &mut Sheet) {

@@ -170,7 +170,13 @@ impl Leading {
         let hub = &self.site.parts.hub;
         let (level, text) = match number {
             Some(number) => (NoticeLevel::Info, format!("this worker holds lease {number}: it anchors and verifies")),
-            None => (NoticeLevel::Warning, "this worker lost the lease: another anchors and verifies".to_owned()),
+            // It gives the lease up.
+            None if self.site.parts.life.is_ending() => return,
+            None => {
+                let text =
+                    "this worker no longer holds the lease, so it anchors and verifies nothing until it takes it again";
+                (NoticeLevel::Warning, text.to_owned())
+            }
         };
         hub.notice_about(ABOUT, level, &text);
         hub.changed(Part::Health);
@@ -241,17 +247,9 @@ pub(crate) fn standing(state: &LeaseState) -> (HealthLevel, String) {
 impl Site {
     /// `None` on a file.
     pub(super) fn lease_health(&self) -> Result<Option<PartHealth>> {
-        let Some(lease) = self.plant.ledger.lease.state()?.map(view) else { return Ok(None) };
-        let workers = counted(lease.workers.len() as u64, "worker");
-        let (level, text) = match &lease.holder {
-            Some(holder) if holder.is_own => (HealthLevel::Ok, format!("held here, {workers}")),
-            Some(holder) => (HealthLevel::Ok, format!("held by {}, {workers}", holder.name)),
-            None => {
-                let text = format!("no worker holds it, so nothing is anchored or verified, {workers}");
-                (HealthLevel::Failed, text)
-            }
-        };
-        Ok(Some(PartHealth { since: lease.since, ..PartHealth::new(ABOUT, level, &text) }))
+        let Some(lease) = self.plant.ledger.lease.state()? else { return Ok(None) };
+        let (level, text) = standing(&lease);
+        Ok(Some(PartHealth { since: view(lease).since, ..PartHealth::new(ABOUT, level, &text) }))
     }
 }
 
