@@ -190,12 +190,7 @@ impl Config {
             Some(_) => u16::try_from(number(&values, "ros.domain", 0, 232)?).ok(),
             None => None,
         };
-        let gwei = |name| Ok::<_, ConfigError>(u128::from(number(&values, name, 0, 1_000_000_000)?) * 1_000_000_000);
-        let max_fee = text("chain.max_fee").map(|_| gwei("chain.max_fee")).transpose()?;
-        let min_price = gwei("chain.min_price")?;
-        if max_fee.is_some_and(|most| min_price > most) {
-            return Err(wrong(&values, "chain.min_price", "choose at most chain.max_fee"));
-        }
+        let (max_fee, min_price) = prices(&values)?;
         let robots = number(&values, "robots", 0, 32)?;
         // With real robots, simulated ones run only on request.
         let unasked = values.get("robots").is_some_and(|(_, source)| *source == Source::Default);
@@ -276,6 +271,21 @@ impl Config {
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }
+}
+
+/// The highest, if there is one, and the lowest, in wei per gas.
+fn prices(values: &Values) -> Result<(Option<u128>, u128), ConfigError> {
+    let price = |name| {
+        let what = "give a whole number of gwei per gas from 0 to 1000000000";
+        let gwei = number(values, name, 0, 1_000_000_000).map_err(|_| wrong(values, name, what))?;
+        Ok::<_, ConfigError>(u128::from(gwei) * 1_000_000_000)
+    };
+    let most = value(values, "chain.max_fee").map(|_| price("chain.max_fee")).transpose()?;
+    let least = price("chain.min_price")?;
+    if most.is_some_and(|most| least > most) {
+        return Err(wrong(values, "chain.min_price", "choose at most chain.max_fee, both in gwei per gas"));
+    }
+    Ok((most, least))
 }
 
 /// Of a gateway's home, so not of one that joins a gateway.

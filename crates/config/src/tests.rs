@@ -46,6 +46,8 @@ fn unknown_keys_and_bad_values_name_the_place() {
     assert_eq!(error, ConfigError::Unknown { file: "config.toml".into(), line: 3, name: "ros.mastr".into() });
     let later = with_file("version = 2\nrobots = 1").expect_err("later").to_string();
     assert!(later.contains("config.toml line 1") && later.contains("use a newer authros"), "{later}");
+    let first = with_file("robots = 1\nversion = 1").expect_err("no setting").to_string();
+    assert!(first.contains("config.toml line 2") && first.contains("remove it"), "{first}");
     assert!(with_file("robots = 99").expect_err("range").to_string().contains("config.toml line 1"));
     assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
     assert!(with_file("[cache]\nurl = \"ftp://x\"").is_err());
@@ -142,7 +144,11 @@ fn the_lowest_price_is_no_higher_than_the_highest() {
     let without_cap = with_file("[chain]\nmin_price = 5000\nmax_fee = \"\"\n").expect("no cap");
     assert_eq!((without_cap.min_price, without_cap.max_fee), (5_000_000_000_000, None));
     let told = with_file("[chain]\nmin_price = 6\nmax_fee = 5\n").expect_err("above the cap").to_string();
-    assert!(told.contains("chain.min_price") && told.contains("chain.max_fee"), "{told}");
+    assert!(told.contains("chain.min_price") && told.contains("chain.max_fee") && told.contains("gwei"), "{told}");
+    for name in ["max_fee", "min_price"] {
+        let told = with_file(&format!("[chain]\n{name} = \"cheap\"\n")).expect_err(name).to_string();
+        assert!(told.contains("a whole number of gwei per gas from 0 to 1000000000"), "{told}");
+    }
 }
 
 #[test]

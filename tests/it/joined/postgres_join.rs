@@ -172,7 +172,7 @@ fn what_is_no_join_file_of_this_database_makes_no_worker() {
     let mut bytes = fs::read(&file).expect("reads");
     *bytes.last_mut().expect("some") ^= 1;
     let altered = new.file("altered.join", bytes, 0o600);
-    scene.refuses(&machine, INPUT, &altered, &["is damaged or not a join file", "authros gateway join-file"]);
+    scene.refuses(&machine, INPUT, &altered, &["is not an intact join file", "authros gateway join-file"]);
 
     // A home that is not empty, and one of somebody else.
     let taken = Home::new();
