@@ -43,7 +43,7 @@ pub struct EnrolArguments {
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Enrolment file to write; must not exist
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = parse::new_file())]
     pub out: PathBuf,
     /// File with the passphrase for the enrolment file [default: a random passphrase, written to FILE.passphrase]
     #[arg(long, value_name = "FILE")]

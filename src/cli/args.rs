@@ -442,6 +442,14 @@ mod tests {
     #[test]
     fn one_key_at_a_time() {
         assert!(Arguments::try_parse_from(["authros", "keys", "load"]).is_err());
+        for act in
+            [&["gateway", "join-file"][..], &["keys", "backup"], &["keys", "export", "eoa"], &["records", "open", "a"]]
+        {
+            let line = |file| ["authros"].into_iter().chain(act.iter().copied()).chain(["--out", file]);
+            assert!(Arguments::try_parse_from(line("file")).is_ok(), "{act:?}");
+            let refused = Arguments::try_parse_from(line("-")).expect_err("no file").to_string();
+            assert!(refused.contains("name a file"), "{refused}");
+        }
         assert!(Arguments::try_parse_from(["authros", "keys", "load", "--sm4", "a", "--eoa", "b"]).is_err());
     }
 }

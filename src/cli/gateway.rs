@@ -37,7 +37,7 @@ pub enum GatewayVerb {
     /// Write the file that makes another machine a worker of this gateway, which keeps its records in PostgreSQL
     JoinFile {
         /// File to write; must not exist. Type its own passphrase, or pass it as for a keyring
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = parse::new_file())]
         out: PathBuf,
         /// Make a new join key: earlier files make no workers, and workers without this one end
         #[arg(long)]
@@ -56,7 +56,7 @@ pub enum GatewayVerb {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,
     },
-    /// Deny an owner the use of this home's gateway; what it sent is kept
+    /// Take an owner off the allow list; what it sent is kept. An open gateway still serves it within the quotas
     Deny {
         /// Account (0x and 40 hex digits), or a contact
         owner: String,
@@ -66,6 +66,7 @@ pub enum GatewayVerb {
 }
 
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
+    let is_about_owners = matches!(verb, GatewayVerb::Deny { .. } | GatewayVerb::Allowed);
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
         GatewayVerb::JoinFile { out, renew, random } => return join_file(&context, &out, renew, random, output).await,
@@ -75,8 +76,16 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
         GatewayVerb::Allowed => ListAdmitted.into(),
         GatewayVerb::Status => GatewayStatus.into(),
     };
-    super::plan::run(context, Plan::kept(question), output).await
+    let is_open = context.config.gateway.open;
+    let code = super::plan::run(context, Plan::kept(question), output).await?;
+    if is_open && is_about_owners {
+        output.note(OPEN);
+    }
+    Ok(code)
 }
+
+const OPEN: &str = "this gateway is open: owners who are not on the list use it within gateway.quota_bytes, _names and _streams; \
+                    to shut them out, set gateway.admission = \"closed\" and start it again";
 
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let needs = Needs { ros: false, chain: true };
@@ -235,5 +244,11 @@ fn lease(view: &LeaseView) -> Vec<String> {
         let here = if worker.is_own { ", here" } else { "" };
         format!("worker {}{here}, seen {} s ago", clean(&worker.name, 120), worker.silent)
     };
-    std::iter::once(first).chain(view.workers.iter().map(worker)).collect()
+    let unlike = (!view.unlike.is_empty()).then(|| {
+        format!(
+            "settings here that differ from the holder's: {}; set them alike at all workers",
+            view.unlike.join(", ")
+        )
+    });
+    std::iter::once(first).chain(view.workers.iter().map(worker)).chain(unlike).collect()
 }

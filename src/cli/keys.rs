@@ -69,7 +69,7 @@ pub enum KeysVerb {
     /// Save the keyring, under its passphrase, to a new 0600 file
     Backup {
         /// File to write; must not exist
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = parse::new_file())]
         out: PathBuf,
     },
     /// Bring a saved keyring into a profile that has none
@@ -85,7 +85,7 @@ pub enum KeysVerb {
         #[arg(value_enum)]
         kind: ExportKind,
         /// File to write; must not exist
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = parse::new_file())]
         out: PathBuf,
         /// File with the passphrase for the V3 keystore (EOA) [default: asked at the terminal]
         #[arg(long, value_name = "FILE")]

@@ -4,6 +4,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::{fmt::Display, io::BufRead as _, str::FromStr, time::Duration};
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
+
 use super::args::ListArguments;
 use crate::model::{Clock, ErrorKind, SignerId, Timestamp, TopicPattern, bytes::unhex, clean, positive_span};
 use crate::service::command::Term;
@@ -45,6 +47,14 @@ pub fn names_on_one_line(mut arguments: impl Iterator<Item = OsString>) -> Resul
     arguments.find(breaks).map_or(Ok(()), |name| {
         let name = clean(&name.to_string_lossy(), 200);
         Err(input(format!("rename the file {name} first: its name has a line break or another control character")))
+    })
+}
+
+/// Of a file to write: `-` would be one of that name.
+pub fn new_file() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| match path.as_os_str() == "-" {
+        true => Err("nothing is written to standard output here; name a file"),
+        false => Ok(path),
     })
 }
 

@@ -106,7 +106,8 @@ const LONGEST: u64 = 256 * 1024;
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
     let (settings, owner) = (&context.config.console, context.operator.is_none());
     let given = passphrase::is_given(&context.global, &context.home, &context.profile);
-    let options = ConsoleOptions {
+    let theme = arguments.theme.or_else(|| settings.theme.clone());
+    Ok(ConsoleOptions {
         settings: Settings {
             profile: context.profile.clone(),
             operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
@@ -118,19 +119,15 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
             asks_passphrase: owner && !given,
             ..Settings::default()
         },
-        theme: arguments.theme.or_else(|| settings.theme.clone()),
-        themes: themes(&context.home)?,
+        themes: themes(&context.home, theme.as_deref())?,
+        theme,
         ascii: arguments.ascii || settings.ascii.unwrap_or_else(|| !locale_has_unicode(environment)),
         mouse: settings.mouse,
         bytes_per_second: settings.bytes_per_second,
         kept: context.home.console(&context.profile),
         pictures: settings.pictures,
         warning: None,
-    };
-    if let Some(name) = &options.theme {
-        options.themes.named(name).map_err(|error| input(error.to_string()))?;
-    }
-    Ok(options)
+    })
 }
 
 fn keymap(home: &Home) -> Result<Keymap, Failure> {
@@ -139,7 +136,8 @@ fn keymap(home: &Home) -> Result<Keymap, Failure> {
     Keymap::with_file(&path.display().to_string(), &text).map_err(|error| input(error.to_string()))
 }
 
-fn themes(home: &Home) -> Result<Themes, Failure> {
+/// Those of the program and of the home, with the one that is wanted.
+pub fn themes(home: &Home, wanted: Option<&str>) -> Result<Themes, Failure> {
     let entries = std::fs::read_dir(home.themes()).into_iter().flatten().flatten().map(|entry| entry.path());
     let mut paths: Vec<_> = entries.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
     paths.sort();
@@ -147,7 +145,9 @@ fn themes(home: &Home) -> Result<Themes, Failure> {
     for path in paths {
         files.extend(read(&path)?.map(|text| (path.display().to_string(), text)));
     }
-    Themes::with_files(&files).map_err(|error| input(error.to_string()))
+    let themes = Themes::with_files(&files).map_err(|error| input(error.to_string()))?;
+    wanted.map(|name| themes.named(name)).transpose().map_err(|error| input(error.to_string()))?;
+    Ok(themes)
 }
 
 fn read(path: &Path) -> Result<Option<String>, Failure> {

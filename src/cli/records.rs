@@ -81,7 +81,7 @@ pub enum RecordsVerb {
         id: String,
         /// Also write it to a file: .json or .bin, for pictures also .png, .jpg, .npy; any other name = the picture's
         /// own bytes, or the message's if it is not a picture
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = parse::new_file())]
         out: Option<PathBuf>,
     },
     /// Check a record's digest, its signature and the right to read it (the paper's `Data_Check` and `dataQuery`)

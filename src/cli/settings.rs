@@ -5,6 +5,7 @@
 use clap::Subcommand;
 
 use super::connect::Context;
+use super::printed;
 use crate::config::SettingView;
 use crate::model::ErrorKind;
 use crate::service::{Failure, accounts};
@@ -24,6 +25,7 @@ pub fn run(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, 
     match verb {
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || list(&settings)),
         ConfigVerb::Check => {
+            printed::themes(&context.home, context.config.console.theme.as_deref())?;
             let unknown = accounts::unknown(&context.config.operators.rules)?;
             if !unknown.is_empty() {
                 return Err(Failure::new(ErrorKind::Input, unknown.join("; ")));

@@ -7,6 +7,7 @@ use super::support::member::{Member, connect};
 use super::support::{self, Home, text, wait_until};
 
 const TOPIC: &str = "/robot7/log";
+const INPUT: i32 = 3;
 
 fn refused(result: Result<impl std::fmt::Debug, GatewayError>) -> Code {
     match result {
@@ -57,6 +58,11 @@ async fn an_open_gateway_takes_strangers_within_quotas() {
     let (gate, away) = (Gate::with(settings), Home::new());
     let carol = stranger(&gate, &away, "carol");
     let credentials = carol.allocate(&gate.gateway, "scout").await.expect("unasked");
+    let keeper = gate.home.authros();
+    let told = keeper.fails(INPUT, &["gateway", "deny", &carol.address().to_string()]);
+    assert!(told.contains("serves it as a guest") && told.contains("gateway.admission"), "{told}");
+    let listed = keeper.run(&["gateway", "allowed"]).expect_code(0);
+    assert!(listed.stderr.contains("this gateway is open"), "{listed}");
     assert_eq!(refused(carol.allocate(&gate.gateway, "scout-2").await), Code::Quota, "one name");
     let mut robot = connect(&gate.gateway, &credentials).await;
     let record = |topic: &str, seq, length| carol.record(&carol.keyring.signing, topic, seq, &vec![7; length]);

@@ -207,6 +207,10 @@ fn a_wrong_settings_file_is_named_with_its_line() {
         let message = home.authros().fails(INPUT, &["config", "check"]);
         assert!(message.contains("config.toml") && message.contains(place), "{message}");
     }
+    let theme = home.authros().with_variable("AUTHROS_THEME", "dusk");
+    fs::write(home.path().join("config.toml"), "").expect("the settings");
+    let message = theme.fails(INPUT, &["config", "check"]);
+    assert!(message.contains("'dusk'") && message.contains("night, day, contrast, mono"), "{message}");
 }
 
 #[test]

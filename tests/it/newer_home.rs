@@ -9,6 +9,7 @@ use crate::support::authros::files_below;
 use crate::support::{Home, wait_until};
 
 const INPUT: i32 = 3;
+const INCOMPLETE: i32 = 8;
 
 /// Files and the version that a later program writes into each.
 const LATER: [(&str, &str); 2] =
@@ -53,6 +54,10 @@ fn an_older_program_is_refused_in_words_and_changes_nothing() {
             database.execute_batch(later).expect("a later version");
             drop(database);
             let before = files(&place.path());
+            if name == "ledger.db" {
+                let told = place.authros().with(&["--robots", "0"]).run(&["doctor"]).expect_code(INCOMPLETE).stdout;
+                assert!(told.contains("use a newer authros") && !told.contains("backup"), "{told}");
+            }
             for command in [&["status"][..], &["records", "list", "--oldest"], &["audit"], &["serve"]] {
                 let message = place.authros().with(&["--robots", "0"]).fails(INPUT, command);
                 assert!(message.contains("900") && message.contains("use a newer authros"), "{command:?}: {message}");

@@ -190,12 +190,7 @@ impl Config {
             Some(_) => u16::try_from(number(&values, "ros.domain", 0, 232)?).ok(),
             None => None,
         };
-        let gwei = |name| Ok::<_, ConfigError>(u128::from(number(&values, name, 0, 1_000_000_000)?) * 1_000_000_000);
-        let max_fee = text("chain.max_fee").map(|_| gwei("chain.max_fee")).transpose()?;
-        let min_price = gwei("chain.min_price")?;
-        if max_fee.is_some_and(|most| min_price > most) {
-            return Err(wrong(&values, "chain.min_price", "choose at most chain.max_fee"));
-        }
+        let (max_fee, min_price) = prices(&values)?;
         let robots = number(&values, "robots", 0, 32)?;
         // With real robots, simulated ones run only on request.
         let unasked = values.get("robots").is_some_and(|(_, source)| *source == Source::Default);
@@ -203,7 +198,11 @@ impl Config {
         Ok(Self {
             ros_host: text("ros.host").map(str::to_owned),
             meter,
-            pin_mode: parsed(&values, "ros.pins")?.unwrap_or_default(),
+            pin_mode: choice(
+                &values,
+                "ros.pins",
+                [("first", PinMode::First), ("list", PinMode::List), ("off", PinMode::Off)],
+            )?,
             publishers: parsed(&values, "ros.publishers")?.unwrap_or_default(),
             definitions: text("ros.definitions").unwrap_or_default().to_owned(),
             ros_domain,
@@ -233,7 +232,7 @@ impl Config {
             compression: switch(&values, "record.compression", ("auto", "off"))?,
             provider: parsed(&values, "crypto.provider")?.unwrap_or_default(),
             sm4_kernel: parsed(&values, "crypto.sm4_kernel")?,
-            anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
+            anchor_mode: choice(&values, "anchor.mode", [("batch", AnchorMode::Batch), ("each", AnchorMode::Each)])?,
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
             operators: OperatorSettings::default(),
@@ -274,12 +273,30 @@ impl Config {
     }
 }
 
+/// The highest, if there is one, and the lowest, in wei per gas.
+fn prices(values: &Values) -> Result<(Option<u128>, u128), ConfigError> {
+    let price = |name| {
+        let what = "give a whole number of gwei per gas from 0 to 1000000000";
+        let gwei = number(values, name, 0, 1_000_000_000).map_err(|_| wrong(values, name, what))?;
+        Ok::<_, ConfigError>(u128::from(gwei) * 1_000_000_000)
+    };
+    let most = value(values, "chain.max_fee").map(|_| price("chain.max_fee")).transpose()?;
+    let least = price("chain.min_price")?;
+    if most.is_some_and(|most| least > most) {
+        return Err(wrong(values, "chain.min_price", "choose at most chain.max_fee, both in gwei per gas"));
+    }
+    Ok((most, least))
+}
+
 /// Of a gateway's home, so not of one that joins a gateway.
 fn store(values: &Values) -> Result<Option<String>, ConfigError> {
     let url = url(values, "store.url", DATABASES)?;
     if url.is_some() && value(values, "site.address").is_some() {
         let advice = "leave it empty in a home that joins a gateway (site.address): the database is the gateway's";
         return Err(wrong(values, "store.url", advice));
+    }
+    if url.is_some() && value(values, "anchor.mode") == Some("each") {
+        return Err(wrong(values, "anchor.mode", "choose batch: a gateway's home (store.url) anchors for many owners"));
     }
     Ok(url)
 }

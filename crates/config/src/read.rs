@@ -14,6 +14,7 @@ use toml::de::{DeTable, DeValue};
 
 /// A line that settings of a later version begin with.
 const VERSION: &str = "version";
+const FIRST: &str = "the settings of version 1 have no such line; remove it";
 const LATER: &str = "settings of version 1 have no such line, so these are of a later version; use a newer authros, or remove \
                      what it added";
 
@@ -89,8 +90,8 @@ pub(super) fn lines_of(path: &Path, text: &str) -> Lines {
 }
 
 pub(super) fn read_document(mut document: toml::Table, lines: &Lines) -> Result<(FileValues, TopicRules), ConfigError> {
-    if document.contains_key(VERSION) {
-        return Err(lines.fault(VERSION, LATER));
+    if let Some(version) = document.get(VERSION) {
+        return Err(lines.fault(VERSION, if version.as_integer() == Some(1) { FIRST } else { LATER }));
     }
     let rules = document.remove(rules::TABLE).map(|tables| rules::read(&tables, lines)).transpose()?;
     let mut values = FileValues::new();

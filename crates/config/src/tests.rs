@@ -46,10 +46,43 @@ fn unknown_keys_and_bad_values_name_the_place() {
     assert_eq!(error, ConfigError::Unknown { file: "config.toml".into(), line: 3, name: "ros.mastr".into() });
     let later = with_file("version = 2\nrobots = 1").expect_err("later").to_string();
     assert!(later.contains("config.toml line 1") && later.contains("use a newer authros"), "{later}");
+    let first = with_file("robots = 1\nversion = 1").expect_err("no setting").to_string();
+    assert!(first.contains("config.toml line 2") && first.contains("remove it"), "{first}");
     assert!(with_file("robots = 99").expect_err("range").to_string().contains("config.toml line 1"));
     assert!(matches!(with_file("robots = "), Err(ConfigError::Syntax { .. })));
     assert!(with_file("[cache]\nurl = \"ftp://x\"").is_err());
     assert!(with_file("[chain]\ncontract = \"0x12\"").is_err());
+}
+
+#[test]
+fn an_unknown_word_is_refused_with_those_that_are_known() {
+    for (name, known) in [
+        ("ros.meter", &["all", "watched", "auto"][..]),
+        ("ros.pins", &["first", "list", "off"]),
+        ("ros.publisher", &["own", "rosrust"]),
+        ("ros.robots_by", &["own", "rosrust"]),
+        ("chain.consensus", &["poa", "pow"]),
+        ("record.compression", &["auto", "off"]),
+        ("crypto.provider", &["authros", "rustcrypto", "libsm"]),
+        ("crypto.sm4_kernel", &["gfni-avx512", "gfni-avx2", "aesni-avx2", "portable"]),
+        ("anchor.mode", &["batch", "each"]),
+        ("metrics.open", &["yes", "no"]),
+        ("metrics.topics", &["yes", "no"]),
+        ("alerts.form", &["authros", "alertmanager"]),
+        ("gateway.admission", &["open", "closed"]),
+        ("site.trust_first", &["yes", "no"]),
+        ("console.ascii", &["yes", "no", "auto"]),
+        ("console.mouse", &["yes", "no"]),
+        ("console.pictures", &["half-blocks", "sixel", "kitty"]),
+    ] {
+        for unknown in ["every", known[0].to_uppercase().as_str()] {
+            let told = with_file(&format!("{name} = \"{unknown}\"")).expect_err(name).to_string();
+            assert!(told.starts_with(name) && known.iter().all(|word| told.contains(word)), "{told}");
+        }
+        for word in known {
+            with_file(&format!("{name} = \"{word}\"")).expect(word);
+        }
+    }
 }
 
 #[test]
@@ -111,7 +144,11 @@ fn the_lowest_price_is_no_higher_than_the_highest() {
     let without_cap = with_file("[chain]\nmin_price = 5000\nmax_fee = \"\"\n").expect("no cap");
     assert_eq!((without_cap.min_price, without_cap.max_fee), (5_000_000_000_000, None));
     let told = with_file("[chain]\nmin_price = 6\nmax_fee = 5\n").expect_err("above the cap").to_string();
-    assert!(told.contains("chain.min_price") && told.contains("chain.max_fee"), "{told}");
+    assert!(told.contains("chain.min_price") && told.contains("chain.max_fee") && told.contains("gwei"), "{told}");
+    for name in ["max_fee", "min_price"] {
+        let told = with_file(&format!("[chain]\n{name} = \"cheap\"\n")).expect_err(name).to_string();
+        assert!(told.contains("a whole number of gwei per gas from 0 to 1000000000"), "{told}");
+    }
 }
 
 #[test]
@@ -143,6 +180,8 @@ fn a_home_that_joins_a_gateway_has_no_database() {
     let both = "[store]\nurl = \"postgres://u:hunter2@h/x\"\n[site]\naddress = \"h:1\"\ntrust_first = \"yes\"\n";
     let told = with_file(both).expect_err("both").to_string();
     assert!(told.contains("store.url") && told.contains("site.address") && !told.contains("hunter2"), "{told}");
+    let each = "[store]\nurl = \"postgres://h/x\"\n[anchor]\nmode = \"each\"\n";
+    assert!(with_file(each).expect_err("many owners").to_string().contains("choose batch"));
     let config = with_file("[store]\nurl = \"postgresql://h,i/x\"\n").expect("a gateway's");
     assert_eq!(config.store_url.as_deref(), Some("postgresql://h,i/x"));
 }

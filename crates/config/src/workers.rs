@@ -1,16 +1,16 @@
 //! The settings that all workers of a gateway share, as a join file brings them: without passwords of the database.
 
+use std::collections::BTreeMap;
+
 use crate::Config;
 use crate::read::Source;
 
-const SHARED: [&str; 19] = [
-    "chain.url",
-    "chain.roots",
-    "chain.contract",
+/// Where chain and database are; each worker may reach them in its own way.
+const PLACES: [&str; 5] = ["chain.url", "chain.roots", "chain.contract", "store.url", "store.roots"];
+
+const ALIKE: [&str; 14] = [
     "chain.max_fee",
     "chain.min_price",
-    "store.url",
-    "store.roots",
     "retention",
     "anchor.mode",
     "anchor.lanes",
@@ -33,7 +33,19 @@ impl Config {
             let value = if *name == "store.url" { without_password(value) } else { value.clone() };
             (*source != Source::Default).then(|| format!("{name} = {}\n", toml::Value::String(value)))
         };
-        SHARED.iter().filter_map(line).collect()
+        PLACES.iter().chain(&ALIKE).filter_map(line).collect()
+    }
+
+    /// What all workers are to do alike, by name.
+    pub fn alike(&self) -> BTreeMap<String, String> {
+        let value = |name: &&str| Some(((*name).to_owned(), self.values.get(*name)?.0.clone()));
+        ALIKE.iter().filter_map(value).collect()
+    }
+
+    /// Names of the settings that another worker has otherwise.
+    pub fn unlike(&self, other: &BTreeMap<String, String>) -> Vec<String> {
+        let differs = |(name, value): &(String, String)| other.get(name).is_some_and(|theirs| theirs != value);
+        self.alike().into_iter().filter(differs).map(|(name, _)| name).collect()
     }
 }
 
@@ -70,6 +82,10 @@ mod tests {
         let file = Some((std::path::Path::new("config.toml"), shared.as_str()));
         let again = Config::resolve(&|_| None, &|_| None, file).expect("the same settings");
         assert_eq!((again.of_workers(), again.confirmations), (shared, 3));
+        assert_eq!(again.unlike(&config.alike()), [""; 0], "which it need not hold itself");
+        let other = Config::resolve(&|_| None, &|_| None, None).expect("settings");
+        assert_eq!(other.unlike(&config.alike()), ["confirmations", "gateway.addresses"]);
+        assert!(!format!("{:?}", config.alike()).contains("postgres"), "each reaches its database in its own way");
     }
 
     #[test]

@@ -59,6 +59,8 @@ pub enum CryptoError {
     PassphraseNeeded(String),
     #[error("{path} is accessible to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
     OpenToOthers { path: String, mode: u32, wanted: u32 },
+    #[error("{path} has {found} bytes, more than the {most} of the largest such file; give another file")]
+    TooLong { path: String, found: usize, most: usize },
     #[error("{path} is not {wanted}: {found}")]
     NotAKey { path: String, wanted: &'static str, found: String },
     #[error(
@@ -97,6 +99,7 @@ impl CryptoError {
             | Self::ShortPassphrase(_)
             | Self::PassphraseNeeded(_)
             | Self::OpenToOthers { .. }
+            | Self::TooLong { .. }
             | Self::NotAKey { .. }
             | Self::Version { .. }
             | Self::Read { .. }

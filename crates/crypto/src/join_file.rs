@@ -86,7 +86,13 @@ impl JoinFile {
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self> {
         let bytes = read_private(path, LARGEST)?;
         let file = KIND.split(&bytes);
-        let file = file.map_err(|why| of_version(path, "a join file", &bytes, why).unwrap_or_else(|| damaged(path)))?;
+        let file = file.map_err(|why| match bytes.starts_with(&KIND.magic) {
+            true => of_version(path, "a join file", &bytes, why).unwrap_or_else(|| damaged(path)),
+            false => {
+                let found = "it begins otherwise; give the file that `authros gateway join-file` wrote".to_owned();
+                CryptoError::NotAKey { path: shown(path), wanted: "a join file", found }
+            }
+        })?;
         let key = FileKey::with(passphrase, file.head.work, file.head.salt)?;
         let keys = KIND.keys(&file, &key).ok_or_else(|| CryptoError::WrongPassphrase(shown(path)))?;
         let content = file.open(&keys).ok_or_else(|| damaged(path))?;
@@ -100,8 +106,9 @@ impl JoinFile {
 }
 
 fn damaged(path: &Path) -> CryptoError {
-    let found = "it is damaged or not a join file; make another one with `authros gateway join-file`".to_owned();
-    CryptoError::NotAKey { path: shown(path), wanted: "a join file", found }
+    let found =
+        "bytes were altered or are missing; carry it again, or make another one with `authros gateway join-file`";
+    CryptoError::NotAKey { path: shown(path), wanted: "an intact join file", found: found.to_owned() }
 }
 
 /// What the workers of one gateway seal under their join key.
@@ -236,7 +243,12 @@ mod tests {
         let mut enrolment = whole;
         enrolment[..8].copy_from_slice(b"\x89AuthEnr");
         let error = opened(&enrolment, "correct horse").expect_err("no join file").to_string();
-        assert!(error.contains("authros gateway join-file"), "{error}");
+        assert!(error.contains("is not a join file") && error.contains("authros gateway join-file"), "{error}");
+        let whole = sample().seal(&passphrase("correct horse")).expect("seals");
+        let error = opened(&whole[..whole.len() - 1], "correct horse").expect_err("cut").to_string();
+        assert!(error.contains("is not an intact join file"), "{error}");
+        let error = opened(&vec![0; LARGEST + 1], "correct horse").expect_err("too long").to_string();
+        assert!(error.contains("gate.join has 1048577 bytes, more than the 1048576"), "{error}");
     }
 
     #[test]

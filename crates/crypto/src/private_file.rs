@@ -15,7 +15,7 @@ const OTHERS: u32 = 0o077;
 
 /// Reads a file of at most `most` bytes that only its owner may read.
 /// # Errors
-/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], or [`CryptoError::Length`] if it is longer.
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], or [`CryptoError::TooLong`].
 pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>> {
     // Checked before it is opened, because opening a pipe would wait for its writer.
     let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
@@ -32,7 +32,7 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>> {
     let limit = u64::try_from(most).unwrap_or(u64::MAX).saturating_add(1);
     file.take(limit).read_to_end(&mut bytes).map_err(CryptoError::read(path))?;
     if bytes.len() > most {
-        return Err(CryptoError::Length { what: "file", found: length, allowed: "fewer" });
+        return Err(CryptoError::TooLong { path: shown(path), found: length.max(bytes.len()), most });
     }
     Ok(bytes)
 }

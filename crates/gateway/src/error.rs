@@ -21,7 +21,10 @@ pub enum GatewayError {
     #[error("this robot's owner revoked it at {0}; ask the owner to enrol it again (`authros robot enrol`)")]
     Recalled(Timestamp),
     /// Anyone on the network can forge it: it means no more than a closed connection.
-    #[error("the gateway closed the connection with an unauthenticated message: {0}")]
+    #[error(
+        "the connection was ended by an unauthenticated message, which the gateway or anyone on the network between can send: \
+         {0}; if this persists, ask the gateway's operator whether it is true"
+    )]
     RefusedInClear(Code),
     #[error(
         "no gateway is pinned, and this one presents {0}; confirm it with its operator and pin it, or allow trust on \

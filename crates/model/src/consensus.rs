@@ -97,22 +97,12 @@ impl FromStr for Consensus {
 
 as_text!(Consensus);
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::Display, strum::EnumString)]
-#[strum(serialize_all = "lowercase", parse_err_fn = no_mode, parse_err_ty = AnchorModeError)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AnchorMode {
     /// The Merkle root of a batch in one transaction.
-    #[default]
     Batch,
     /// The paper's dataUpload: one transaction per record.
     Each,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("choose batch (Merkle roots) or each (one dataUpload per record)")]
-pub struct AnchorModeError;
-
-fn no_mode(_: &str) -> AnchorModeError {
-    AnchorModeError
 }
 
 // Head of a home's audit log, anchored on the chain while the log changes.

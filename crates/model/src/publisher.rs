@@ -20,8 +20,6 @@ pub enum PublisherError {
     Publisher(String),
     #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several with commas")]
     Listed(String),
-    #[error("'{0}' is not a pinning mode; choose first, list or off")]
-    Mode(String),
 }
 
 /// A publisher as written in pins, `CALLER_ID@HOST:TYPE:MD5`.
@@ -132,9 +130,8 @@ impl FromStr for ListedPublishers {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::EnumString)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[strum(serialize_all = "snake_case", parse_err_fn = no_mode, parse_err_ty = PublisherError)]
 pub enum PinMode {
     /// The first ones seen, if none are named.
     #[default]
@@ -143,10 +140,6 @@ pub enum PinMode {
     List,
     /// Anyone may publish; nothing is quarantined.
     Off,
-}
-
-fn no_mode(text: &str) -> PublisherError {
-    PublisherError::Mode(clean(text, 40))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
@@ -246,15 +239,13 @@ mod tests {
     }
 
     #[test]
-    fn lists_and_modes() {
+    fn lists() {
         let text = format!("/t=/a@h:a/B:{MD5}, /u=/b@h:a/B:{MD5} ,");
         let listed: ListedPublishers = text.parse().expect("a list");
         let topics: Vec<&str> = listed.0.iter().map(|(topic, _)| topic.as_str()).collect();
         assert_eq!(topics, ["/t", "/u"]);
         assert_eq!("".parse(), Ok(ListedPublishers::default()));
         assert!(format!("/a@h:a/B:{MD5}").parse::<ListedPublishers>().is_err());
-        assert_eq!("list".parse(), Ok(PinMode::List));
-        assert!("".parse::<PinMode>().is_err());
     }
 
     #[test]

@@ -15,9 +15,11 @@ use crate::pipeline::{network_pin_at, network_pin_in};
 use crate::reply::{ChainView, CheckStatus, DoctorCheck, DoctorView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
-use crate::site::{STORE_LOST, is_bound, join_key, keyring_faults, misses_store, other_gateway, store_loss};
-use crate::store::notes::{ProfileAccounts, SharedSystemKeys, StoreWasGone};
-use crate::store::{CacheSettings, Glance, LeaseState, SiteLock, StoreError, cache, files, snapshot};
+use crate::site::{
+    STORE_LOST, is_bound, join_key, keyring_faults, lease_standing, misses_store, other_gateway, store_loss,
+};
+use crate::store::notes::{HoldersSettings, ProfileAccounts, SharedSystemKeys, StoreWasGone};
+use crate::store::{CacheSettings, Glance, SiteLock, StoreError, cache, files, snapshot};
 
 /// What a running site says of itself, and of its chain if that answers.
 pub struct Running {
@@ -40,7 +42,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<Running, 
         disk(home, &mut sheet);
     });
     let (mut peers, mut code) = (Sheet::default(), None);
-    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut peers));
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, runs, &mut peers));
     match site {
         Some(Ok(running)) => {
             code = running.site.worst();
@@ -73,7 +75,7 @@ pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| ros_master(config, &mut ros));
     let mut store = Sheet::default();
-    let pinned = tokio::task::block_in_place(|| pin_of(home, config, &mut store));
+    let pinned = tokio::task::block_in_place(|| pin_of(home, config, false, &mut store));
     look(home, config, pinned, &mut chain).await;
     let embedded = config.ros_master.is_none();
     let site = "no site is running; start one with `authros serve` or the console";
@@ -182,17 +184,17 @@ const EMBEDDED: &str = "embedded";
 type PinResult = Result<Option<Pin>, StoreError>;
 
 /// Also looks at the database of a gateway's home.
-fn pin_of(home: &Home, config: &Config, sheet: &mut Sheet) -> PinResult {
+fn pin_of(home: &Home, config: &Config, runs: bool, sheet: &mut Sheet) -> PinResult {
     match &config.store_url {
         None => network_pin_in(&home.ledger()),
-        Some(url) => database(home, config, url, sheet).map_or(Ok(None), |glance| network_pin_at(&glance)),
+        Some(url) => database(home, config, (url, runs), sheet).map_or(Ok(None), |glance| network_pin_at(&glance)),
     }
 }
 
 async fn look(home: &Home, config: &Config, pinned: PinResult, sheet: &mut Sheet) {
     let pinned = match pinned {
         Ok(pinned) => pinned,
-        Err(error) => return sheet.fail("chain", &error.to_string(), DAMAGED),
+        Err(error) => return sheet.fail_in_words("chain", &error.to_string(), DAMAGED),
     };
     if let Some(site) = &config.site {
         return remote(&site.addresses, sheet).await;
@@ -342,25 +344,17 @@ fn is_secret(path: &Path) -> bool {
 fn keys(home: &Home, sheet: &mut Sheet) {
     let mut profiles = home.profiles();
     let known = Glance::at(&home.ledger()).and_then(|ledger| ledger.note(&ProfileAccounts {})).ok().flatten();
-    let faults = keyring_faults(home, &known.unwrap_or_default());
+    let faults = keyring_faults(home, known.unwrap_or_default());
     for (profile, fault) in &faults {
-        sheet.fail(&format!("keys {profile}"), fault, "restore it from a backup: `authros backup restore FILE`");
+        sheet.fail_in_words(&format!("keys {profile}"), fault, DAMAGED);
     }
     profiles.retain(|one| !faults.iter().any(|(profile, _)| profile == one));
     if profiles.is_empty() && faults.is_empty() {
         sheet.warn("keys", "no profile has keys yet", "authros identity create");
     }
     for profile in profiles {
-        let name = format!("keys {profile}");
-        match read_public(&home.keyring(&profile)) {
-            Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
-            Err(error) => {
-                sheet.fail(
-                    &name,
-                    &error.to_string(),
-                    "restore the keyring from a backup: `authros backup restore FILE`",
-                );
-            }
+        if let Ok(public) = read_public(&home.keyring(&profile)) {
+            sheet.ok(&format!("keys {profile}"), &format!("account {}", public.address));
         }
     }
 }
@@ -379,7 +373,7 @@ fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
     }
     let bytes = match snapshot::examine(&path) {
         Ok(bytes) => bytes,
-        Err(error) => return sheet.fail("store", &error.to_string(), DAMAGED),
+        Err(error) => return sheet.fail_in_words("store", &error.to_string(), DAMAGED),
     };
     let glance = Glance::at(&path);
     let missed = glance.as_ref().ok().and_then(|ledger| ledger.note(&StoreWasGone {}).ok().flatten());
@@ -393,20 +387,21 @@ fn store(home: &Home, config: &Config, sheet: &mut Sheet) {
 fn notes(checked: Result<u64, StoreError>, sheet: &mut Sheet) {
     match checked {
         Ok(count) => sheet.ok("notes", &format!("the store's notes are readable: {}", grouped(count))),
-        Err(error) => sheet.fail("notes", &error.to_string(), DAMAGED),
+        Err(error) => sheet.fail_in_words("notes", &error.to_string(), DAMAGED),
     }
 }
 
 const OTHER_DATABASE: &str = "correct store.url";
 
-/// A gateway's database, looked at without a change; returned if it has the store's tables.
-fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Option<Glance> {
+/// A gateway's database, looked at without a change; returned if it has the store's tables. A site that `runs` speaks of the
+/// lease itself.
+fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut Sheet) -> Option<Glance> {
     if url.contains('@')
         && let Ok(Some(advice)) = files::mode_advice(&home.config())
     {
         sheet.warn("settings", "others can read the settings, which may have the password of store.url", &advice);
     }
-    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref()) {
+    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref(), Some(&home.watermark())) {
         Ok(found) => found,
         Err(error) => {
             sheet.fail_in_words("store", &error.to_string(), OTHER_DATABASE);
@@ -423,14 +418,7 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
         return None;
     };
     notes(glance.check_notes(), sheet);
-    match glance.lease() {
-        Ok(Some(LeaseState { holder: Some(holder), workers, .. })) => {
-            let workers = counted(workers.len() as u64, "worker");
-            sheet.ok("lease", &format!("held by {}, {workers}", holder.name));
-        }
-        Ok(_) => sheet.ok("lease", "held by no worker: `authros gateway serve` takes it"),
-        Err(error) => sheet.fail("lease", &error.to_string(), DAMAGED),
-    }
+    workers(&glance, config, runs, sheet);
     let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
     if let Some(text) = other_gateway(&known, glance.path(), home) {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);
@@ -440,6 +428,20 @@ fn database(home: &Home, config: &Config, url: &str, sheet: &mut Sheet) -> Optio
         sheet.fail("join key", &failure.message, "run `authros gateway join FILE` with a new join file");
     }
     Some(glance)
+}
+
+fn workers(glance: &Glance, config: &Config, runs: bool, sheet: &mut Sheet) {
+    match glance.lease().map(|lease| lease.filter(|_| !runs).map(|lease| lease_standing(&lease))) {
+        Ok(Some((HealthLevel::Failed, text))) => sheet.warn("lease", &text, "`authros gateway serve` takes it"),
+        Ok(Some((_, text))) => sheet.ok("lease", &text),
+        Ok(None) => {}
+        Err(error) => sheet.fail_in_words("lease", &error.to_string(), DAMAGED),
+    }
+    let unlike = config.unlike(&glance.note(&HoldersSettings {}).ok().flatten().unwrap_or_default());
+    if !unlike.is_empty() {
+        let text = format!("they differ from those of the worker that held the lease last: {}", unlike.join(", "));
+        sheet.warn("settings", &text, "set them alike at all workers, then start those again that were changed");
+    }
 }
 
 fn disk(home: &Home, sheet: &mut Sheet) {

@@ -331,6 +331,8 @@ pub struct LeaseView {
     pub since: Option<Timestamp>,
     /// Those that gave a sign of life lately.
     pub workers: Vec<WorkerView>,
+    /// Settings of this worker that differ from the holder's.
+    pub unlike: Vec<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -63,18 +63,18 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, log_waits)?;
         identity(&connection)
     };
-    match look() {
-        Ok((application, found)) if application == schema.application && found != VERSION => {
-            let file = path.to_owned();
-            Err(match found > VERSION {
-                true => StoreError::Newer { file, found, known: VERSION },
-                false => {
-                    StoreError::Corrupt { file, detail: format!("its version is {found}, which no authros writes") }
-                }
-            })
-        }
-        _ => Ok(()),
+    look().map_or(Ok(()), |found| is_known(found, path, schema))
+}
+
+fn is_known((application, found): (i64, i64), path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    if application != schema.application || found == VERSION {
+        return Ok(());
     }
+    let file = path.to_owned();
+    Err(match found > VERSION {
+        true => StoreError::Newer { file, found, known: VERSION },
+        false => StoreError::Corrupt { file, detail: format!("its version is {found}, which no authros writes") },
+    })
 }
 
 /// Checkpoints before the end: another connection may outlive this one and leave the log. A failure waits for the next
@@ -148,16 +148,21 @@ pub(super) fn open_reader(path: &Path) -> Result<Connection, StoreError> {
 }
 
 /// Of an existing file that may be in use: writes nothing beside it and does not wait.
-pub(super) fn open_glance(path: &Path) -> Result<Connection, StoreError> {
+pub(super) fn open_glance(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
     // Without a log nobody has it open, and SQLite would create one to read it.
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     let rest = if Path::new(&log).exists() { "" } else { "?immutable=1" };
     let uri = format!("file:{}{rest}", escaped(path));
-    Connection::open_with_flags(uri, flags)
-        .and_then(|connection| connection.busy_timeout(GLANCE).map(|()| connection))
-        .map_err(|error| StoreError::from(error).in_file(path))
+    let open = || {
+        let connection = Connection::open_with_flags(uri, flags)?;
+        connection.busy_timeout(GLANCE)?;
+        Ok((identity(&connection)?, connection))
+    };
+    let (found, connection) = open().map_err(|error: rusqlite::Error| StoreError::from(error).in_file(path))?;
+    is_known(found, path, schema)?;
+    Ok(connection)
 }
 
 fn escaped(path: &Path) -> String {
@@ -310,9 +315,11 @@ mod tests {
         drop(connection);
         for place in [&left, &home] {
             let (path, before) = (place.path().join("x.db"), bytes_in(place.path()));
-            let error = open_writer(&path, &FIRST).expect_err("a later version");
-            assert!(matches!(error, StoreError::Newer { found: 2, known: 1, .. }), "{error}");
-            assert!(error.to_string().contains("use a newer authros"), "{error}");
+            for open in [open_glance, open_writer] {
+                let error = open(&path, &FIRST).expect_err("a later version");
+                assert!(matches!(error, StoreError::Newer { found: 2, known: 1, .. }), "{error}");
+                assert!(error.to_string().contains("use a newer authros"), "{error}");
+            }
             assert!(bytes_in(place.path()) == before, "something was written");
             let connection = connect(&path).expect("as it was");
             let rows: i64 = connection.query_row("SELECT count(*) FROM a", [], |row| row.get(0)).expect("rows");
@@ -331,9 +338,11 @@ mod tests {
             (255, ErrorKind::Input, "has schema 255, but this program supports only 1"),
         ] {
             connect(&path).expect("opens").pragma_update(None, "user_version", version).expect("another version's");
-            let error = open_writer(&path, &FIRST).expect_err("another version");
-            assert_eq!(error.kind(), kind, "{error}");
-            assert!(error.to_string().contains(words), "{error}");
+            for open in [open_glance, open_writer] {
+                let error = open(&path, &FIRST).expect_err("another version");
+                assert_eq!(error.kind(), kind, "{error}");
+                assert!(error.to_string().contains(words), "{error}");
+            }
         }
     }
 

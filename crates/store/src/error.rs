@@ -68,9 +68,14 @@ pub enum StoreError {
     ServerClock { server: PathBuf, apart: String },
     #[error(
         "{} lacks what this home had committed there, so it was restored to an earlier time, or a standby was promoted that \
-         lacked it; start again: then the gateway continues from what is there", server.display()
+         lacked it; run `authros gateway serve`, which continues from what is there", server.display()
     )]
     ServerRestored { server: PathBuf },
+    #[error(
+        "{} is empty, but this home has seen commit {commits} in it; correct store.url, or restore that database from its \
+         backup", server.display()
+    )]
+    ServerEmpty { server: PathBuf, commits: i64 },
     #[error(
         "whether {} committed a change is not known: {detail}; what is not acknowledged is sent again", server.display()
     )]
@@ -145,6 +150,7 @@ impl StoreError {
             | Self::ServerRefused { .. }
             | Self::ServerReadOnly { .. }
             | Self::ServerRestored { .. }
+            | Self::ServerEmpty { .. }
             | Self::NotHolder { .. }
             | Self::Raced { .. }
             | Self::ServerClock { .. } => ErrorKind::Refused,

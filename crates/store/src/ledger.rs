@@ -60,7 +60,7 @@ use crate::StoreError;
 use crate::database::{self, Schema};
 use crate::model::{RecorderPrefix, Timestamp};
 use crate::notes::{self, CopiedAt, ForeignHistory, LastPlace, RestoredAt};
-use crate::sql::postgres::Server;
+use crate::sql::postgres::{Server, Watermark};
 use crate::sql::{self, Connection, Params, Row};
 
 const SCHEMA: Schema = Schema {
@@ -163,13 +163,13 @@ impl Ledger {
     /// The same for a home, where `watermark` remembers how far it has seen the database: [`StoreError::ServerRestored`] if the
     /// database is behind that.
     pub fn on_server_of(url: &str, roots: Option<&Path>, watermark: &Path) -> Result<Self, StoreError> {
-        Self::open_at(Place::Server(Box::new(Server::at(url, roots)?.remembered_in(watermark)?)))
+        Self::open_at(Place::Server(Box::new(Server::at(url, roots)?.remembered_by(Watermark::in_file(watermark)?))))
     }
 
     /// Goes on with a database that was restored to an earlier time, as with a restored file: with a new recorder and another
     /// feed, because the numbers since are given.
     pub fn renew_on_server(url: &str, roots: Option<&Path>, watermark: &Path) -> Result<(), StoreError> {
-        let server = Server::at(url, roots)?.remembered_in(watermark)?;
+        let server = Server::at(url, roots)?.remembered_by(Watermark::in_file(watermark)?);
         let renewed = || {
             let connection = Connection::from(server.renewing()?);
             number_anew(&connection, server.place())?;

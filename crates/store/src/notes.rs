@@ -118,6 +118,8 @@ notes! {
     AdmittedOwners {} = "admitted": Vec<AdmittedOwner>, "the owners allowed at the gateway";
     /// Of a gateway on a server.
     SharedSystemKeys {} = "system keys": SealedSystemKeys, "the system keys of the gateway's workers";
+    /// By name, without secrets.
+    HoldersSettings {} = "settings of the holder": BTreeMap<String, String>, "the settings of the lease's holder";
     /// The epoch that the revocation will begin.
     AnnouncedRevoke { owner: Address, reader: Address } = "announced revoke": u64, "an announced revocation";
 

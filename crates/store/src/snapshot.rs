@@ -49,8 +49,9 @@ pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
     files::open_private(file)?.sync_all().map_err(|error| StoreError::home(file, &error))
 }
 
-/// Runs `quick_check`; returns the size in bytes.
+/// Refuses another version, and runs `quick_check`; returns the size in bytes.
 pub fn examine(path: &Path) -> Result<u64, StoreError> {
+    Ledger::check_version(path)?;
     database::quick_check(&database::open_reader(path)?, path)?;
     let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     Ok(about.len())

@@ -14,10 +14,12 @@ use serde_json::json;
 
 use super::{by_the_page, private, profile, sample, unpacked};
 use crate::evidence::{by_the_second, verified};
-use crate::support::{Authros, Home, skipped, system_program, text};
+use crate::support::{Authros, Home, list, skipped, system_program, text};
 
 pub(super) const INPUT: i32 = 3;
+const UNHEALTHY: i32 = 4;
 const TAMPERED: i32 = 6;
+const INCOMPLETE: i32 = 8;
 /// Of the files that begin with a magic of eight bytes.
 const AT: usize = 8;
 
@@ -63,6 +65,12 @@ fn sealed_files_are_named_with_their_version() {
     is_refused(&profile(&Home::new(), "alice"), &["keys", "restore", &keyring]);
     raise(home.path().join("profiles/alice/keyring").to_str().expect("UTF-8"), AT);
     is_refused(&alice, &["keys", "list"]);
+    let json = alice.with(&["--json"]);
+    let checks = list(&json.run(&["doctor"]).expect_code(INCOMPLETE).document(), "checks");
+    let keys = checks.iter().find(|check| check["name"] == "keys alice").expect("looked at");
+    assert!(keys["status"] == "fail" && text(keys, "advice").starts_with("use a newer authros"), "{keys}");
+    let status = json.run(&["status"]).expect_code(UNHEALTHY).document();
+    assert_ne!(status["life"]["captured"], 0, "the store knows whose records these are: {status}");
 
     let (empty, enrolment) = (Home::new(), private(&home, "scout.enrolment"));
     raise(&enrolment, AT);

@@ -226,9 +226,24 @@ fn a_database_belongs_to_one_gateway_and_one_form() {
         .sql("fleet", "REASSIGN OWNED BY authros TO postgres; GRANT SELECT ON ALL TABLES IN SCHEMA public TO authros");
     let said = gateway.keeper().fails(REFUSED, &["gateway", "serve", "--listen", "127.0.0.1:0"]);
     assert!(said.contains("may not write") && said.contains("the owner of its database"), "{said}");
+    let store = || examined(&gateway.keeper(), "store");
+    let found = store();
+    assert!(matches!(&found[..], [(status, told)] if status == "fail" && told.contains("may not write")), "{found:?}");
     server.sql("fleet", "GRANT ALL ON ALL TABLES IN SCHEMA public TO authros");
 
     server.sql("fleet", "UPDATE about SET version = version + 1");
     let said = gateway.keeper().fails(INPUT, &["gateway", "serve", "--listen", "127.0.0.1:0"]);
     assert!(without_password(&said).contains("schema 2") && said.contains("use a newer authros"), "{said}");
+    let found = store();
+    assert!(matches!(&found[..], [(status, told)] if status == "fail" && told.contains("use a newer")), "{found:?}");
+
+    // What it has seen elsewhere is not in an empty one.
+    let keeper = gateway.keeper().with_variable("AUTHROS_STORE", &server.database("empty"));
+    for act in [&["gateway", "serve", "--listen", "127.0.0.1:0"][..], &["gateway", "status"]] {
+        let said = keeper.fails(REFUSED, act);
+        assert!(said.contains("is empty, but this home has seen commit") && said.contains("its backup"), "{said}");
+    }
+    assert!(examined(&keeper, "store").iter().any(|(status, told)| status == "fail" && told.contains("is empty")));
+    let tables = "SELECT count(*) FROM pg_tables WHERE schemaname = 'public'";
+    assert_eq!(server.sql("empty", tables), "0", "nothing was made");
 }

@@ -167,9 +167,19 @@ fn a_database_that_is_restored_under_a_gateway_is_noticed_and_its_robot_brings_w
     let ended = gateway.site.take().expect("running").wait(120).expect_code(REFUSED);
     agent.stop("TERM", 20);
     let said = [&*ended.stdout, &ended.stderr].concat();
-    assert!(said.contains("restored to an earlier time") && said.contains("start again"), "{said}");
+    assert!(said.contains("restored to an earlier time") && said.contains("authros gateway serve"), "{said}");
     let rows = server.sql("fleet", "SELECT count(*) FROM records").parse::<u64>().expect("a number");
     assert!(rows < receipted && server.sql("fleet", RECORDER) == old, "nothing was written: {rows} of {receipted}");
+
+    // What only looks says so, and leaves it to the gateway.
+    let left = feeds(&server);
+    for look in [&["gateway", "status"][..], &["status"]] {
+        let said = gateway.keeper().fails(REFUSED, look);
+        assert!(said.contains("restored to an earlier time") && said.contains("authros gateway serve"), "{said}");
+    }
+    let told = gateway.keeper().run(&["doctor"]).stdout;
+    assert!(told.contains("restored to an earlier time"), "{told}");
+    assert!(server.sql("fleet", RECORDER) == old && feeds(&server) == left, "a look changes nothing");
 
     gateway.confirmations = "1";
     gateway.start();

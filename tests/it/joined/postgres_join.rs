@@ -116,6 +116,13 @@ fn a_join_file_makes_a_worker_that_serves_as_the_first_one_does() {
     scene.gateway.start();
     let (same, newest) = system_keys(&scene.gateway.keeper());
     assert!(same == keys && newest > newer, "{newer} {newest}");
+    // What the other one would do otherwise is named there.
+    let unlike = |worker: &Authros| support::list(&worker.json(&["gateway", "status"])["lease"], "unlike");
+    let other = worker.with_variable("AUTHROS_GATEWAY_ADMISSION", "open");
+    wait_until(30, "the holder says how it is set", || (unlike(&other) == ["gateway.admission"]).then_some(()));
+    assert_eq!(unlike(&worker), [""; 0]);
+    let told = other.run(&["doctor"]).stdout;
+    assert!(told.contains("that held the lease last: gateway.admission"), "{told}");
     let all = robot.bring("3");
     alice.verified(&own, all);
     scene.stop();
@@ -165,7 +172,7 @@ fn what_is_no_join_file_of_this_database_makes_no_worker() {
     let mut bytes = fs::read(&file).expect("reads");
     *bytes.last_mut().expect("some") ^= 1;
     let altered = new.file("altered.join", bytes, 0o600);
-    scene.refuses(&machine, INPUT, &altered, &["is damaged or not a join file", "authros gateway join-file"]);
+    scene.refuses(&machine, INPUT, &altered, &["is not an intact join file", "authros gateway join-file"]);
 
     // A home that is not empty, and one of somebody else.
     let taken = Home::new();

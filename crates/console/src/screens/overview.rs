@@ -4,7 +4,7 @@ use crate::app::history::{Flow, Period, Sample, highest};
 use crate::app::{Feed, State, alerts::Alert, alerts::is_troubled, history};
 use crate::model::{clean, counted};
 use crate::screens::{grants::state::is_given, topics::draw::watched};
-use crate::service::reply::{LifeLine, SiteView};
+use crate::service::reply::{HealthLevel, LifeLine, SiteView};
 use crate::ui::graph::{Graph, SIDE, Scale};
 use crate::ui::{
     Canvas, Column, Rect, Role, below, columns, graph, marks, marks::notice_level, marks::simulated, right_of, row,
@@ -332,7 +332,7 @@ pub fn draw_first_run(canvas: &mut Canvas, area: Rect, state: &State, roomy: boo
     for (line, (place, step)) in (1u16..).zip(steps.iter().enumerate()) {
         draw_step(canvas, row(area, line), step, place, next == Some(place));
     }
-    below(area, 6)
+    below(area, 2 + u16::try_from(steps.len()).unwrap_or(u16::MAX))
 }
 
 fn draw_step(canvas: &mut Canvas, area: Rect, step: &FirstStep, place: usize, next: bool) {
@@ -362,19 +362,28 @@ pub fn first_steps(state: &State) -> Vec<FirstStep> {
     }
     let set_up = identity.exists && identity.registered;
     let step = |done, name, key, text| FirstStep { done, name, key, text };
-    let steps = vec![
-        match identity.exists {
-            true => step(set_up, "identity", "R", "register the identity on the chain"),
-            false => step(set_up, "identity", "n", "make keys and register them on the chain"),
-        },
-        step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
-        step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
-        step(
-            state.grants.rows.iter().any(is_given) || state.is_locked(),
-            "grant",
-            "g",
-            "let another account read them",
-        ),
-    ];
+    let first = match identity.exists {
+        true => step(set_up, "identity", "R", "register the identity on the chain"),
+        false => step(set_up, "identity", "n", "make keys and register them on the chain"),
+    };
+    let part = |name| state.site.iter().flat_map(|site| &site.health).find(|part| part.part == name);
+    // A gateway's worker captures and grants nothing.
+    let of_worker = part("lease").map(|_| {
+        let serves = part("gateway").is_some_and(|part| part.level == HealthLevel::Ok);
+        vec![first.clone(), step(serves, "gateway", "", "`authros gateway serve --listen ADDRESS:PORT` serves robots")]
+    });
+    let steps = of_worker.unwrap_or_else(|| {
+        vec![
+            first,
+            step(identity.exists, "keys", "L", "created with the identity; press L to load your own"),
+            step(state.watches(), "topics", "w", "watch a topic: its messages are encrypted and anchored"),
+            step(
+                state.grants.rows.iter().any(is_given) || state.is_locked(),
+                "grant",
+                "g",
+                "let another account read them",
+            ),
+        ]
+    });
     if steps.iter().all(|step| step.done) { Vec::new() } else { steps }
 }

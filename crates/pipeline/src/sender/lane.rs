@@ -259,7 +259,7 @@ impl PauseReason {
             }
             Self::PassedBy { blocks, price } => passed_by(*blocks, *price),
             Self::FeeCap { needed, cap } => format!(
-                "the network requires {needed} gwei per gas, more than chain.max_fee = {cap} allows; wait or raise it"
+                "the network requires {needed} gwei per gas, more than chain.max_fee = {cap} gwei allows; wait or raise it"
             ),
             Self::Stalled => "the network produces no blocks; check its signers or miners".to_owned(),
             Self::Refused { why } => format!("the node refuses transactions of {account}: {why}"),
@@ -292,7 +292,7 @@ mod state_tests {
         let account = Address([7; 20]);
         let capped = PauseReason::capped(1_000_000_001, 1_000_000_000);
         let text = capped.text(account);
-        assert!(text.contains("2 gwei") && text.contains("chain.max_fee = 1"), "{text}");
+        assert!(text.contains("2 gwei") && text.contains("chain.max_fee = 1 gwei"), "{text}");
         let poor = PauseReason::NoEther(Shortfall { account, held: Wei(1), needed: Wei(2_000_000) });
         assert!(poor.cause(account).contains("it has 1 wei and needs 0.002 gwei"), "{}", poor.cause(account));
         let passed = PauseReason::PassedBy { blocks: 7, price: Wei(1_900_000_000) };

@@ -14,6 +14,7 @@ use crate::model::counted;
 use crate::pipeline::Owner;
 use crate::reply::{HealthLevel, LeaseView, PartHealth, Result, WorkerView};
 use crate::site::storage::may_hold;
+use crate::store::notes::HoldersSettings;
 use crate::store::{BEAT, Claim, LeaseState, Worker};
 
 /// How soon it is seen that the lease was won or lost.
@@ -169,7 +170,13 @@ impl Leading {
         let hub = &self.site.parts.hub;
         let (level, text) = match number {
             Some(number) => (NoticeLevel::Info, format!("this worker holds lease {number}: it anchors and verifies")),
-            None => (NoticeLevel::Warning, "this worker lost the lease: another anchors and verifies".to_owned()),
+            // It gives the lease up.
+            None if self.site.parts.life.is_ending() => return,
+            None => {
+                let text =
+                    "this worker no longer holds the lease, so it anchors and verifies nothing until it takes it again";
+                (NoticeLevel::Warning, text.to_owned())
+            }
         };
         hub.notice_about(ABOUT, level, &text);
         hub.changed(Part::Health);
@@ -197,10 +204,16 @@ impl Leading {
             None => Claim::Nothing,
         };
         let (ledger, home) = (self.site.plant.ledger.clone(), self.site.parts.home.clone());
+        let settings = self.site.parts.config.alike();
         let name = worker_name(self.site.gateway.served().map(|view| view.address).as_deref());
         let beat = move || -> Result<()> {
             let claim = if may_hold(&ledger, &home)? { claim } else { Claim::Nothing };
-            Ok(ledger.lease.beat(&name, claim)?)
+            ledger.lease.beat(&name, claim)?;
+            // What other workers compare theirs with.
+            if ledger.lease.held().is_some() && ledger.notes.read(&HoldersSettings {})?.as_ref() != Some(&settings) {
+                ledger.notes.write(&HoldersSettings {}, &settings)?;
+            }
+            Ok(())
         };
         self.beating = Some(tokio::task::spawn_blocking(beat));
     }
@@ -217,23 +230,26 @@ pub(super) fn view(state: LeaseState) -> LeaseView {
     let worker = |Worker { name, is_own, silent }| WorkerView { name, is_own, silent };
     let LeaseState { number, holder, since, workers } = state;
     let since = holder.as_ref().map(|_| since);
-    LeaseView { number, holder: holder.map(worker), since, workers: workers.into_iter().map(worker).collect() }
+    let (holder, workers) = (holder.map(worker), workers.into_iter().map(worker).collect());
+    LeaseView { number, holder, since, workers, unlike: Vec::new() }
+}
+
+/// Who holds it, in words; `Failed` if nobody does.
+pub(crate) fn standing(state: &LeaseState) -> (HealthLevel, String) {
+    let workers = counted(state.workers.len() as u64, "worker");
+    match &state.holder {
+        Some(holder) if holder.is_own => (HealthLevel::Ok, format!("held here, {workers}")),
+        Some(holder) => (HealthLevel::Ok, format!("held by {}, {workers}", holder.name)),
+        None => (HealthLevel::Failed, format!("no worker holds it, so nothing is anchored or verified, {workers}")),
+    }
 }
 
 impl Site {
     /// `None` on a file.
     pub(super) fn lease_health(&self) -> Result<Option<PartHealth>> {
-        let Some(lease) = self.plant.ledger.lease.state()?.map(view) else { return Ok(None) };
-        let workers = counted(lease.workers.len() as u64, "worker");
-        let (level, text) = match &lease.holder {
-            Some(holder) if holder.is_own => (HealthLevel::Ok, format!("held here, {workers}")),
-            Some(holder) => (HealthLevel::Ok, format!("held by {}, {workers}", holder.name)),
-            None => {
-                let text = format!("no worker holds it, so nothing is anchored or verified, {workers}");
-                (HealthLevel::Failed, text)
-            }
-        };
-        Ok(Some(PartHealth { since: lease.since, ..PartHealth::new(ABOUT, level, &text) }))
+        let Some(lease) = self.plant.ledger.lease.state()? else { return Ok(None) };
+        let (level, text) = standing(&lease);
+        Ok(Some(PartHealth { since: view(lease).since, ..PartHealth::new(ABOUT, level, &text) }))
     }
 }
 

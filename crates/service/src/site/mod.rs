@@ -57,6 +57,7 @@ pub use evidence::definition_of;
 pub(crate) use gateway::workers::sealed as sealed_system_keys;
 pub(crate) use gateway::workers::{join_key, opened as opened_system_keys};
 pub(crate) use identity::keyring_faults;
+pub(crate) use leading::standing as lease_standing;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
 pub(crate) use storage::{STORE_LOST, misses_store, other_gateway, store_loss};

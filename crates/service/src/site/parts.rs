@@ -48,7 +48,7 @@ impl Parts {
         Ledger::check_version(&home.ledger())?;
         check_embedded_chain(&home.chain())?;
         let (ledger, copied) = match &config.store_url {
-            Some(url) => open_on_server(&home, url, config.store_roots.as_deref())?,
+            Some(url) => open_on_server(&home, url, config.store_roots.as_deref(), needs_chain)?,
             None => open_ledger(&home)?,
         };
         // What begins now depends on who holds it.

@@ -165,9 +165,12 @@ impl Site {
     }
 
     fn life_line(&self, profile: &ProfileName) -> Result<LifeLine> {
-        let Ok(owner) = self.parts.owners.address_of(profile) else {
-            return Ok(LifeLine { conserved: true, ..LifeLine::default() });
+        let owner = match self.parts.owners.address_of(profile) {
+            Ok(owner) => Some(owner),
+            // Where its keyring cannot be read, the store knows whose records these are.
+            Err(_) => self.profiles.known_accounts()?.get(profile).and_then(|accounts| accounts.last().copied()),
         };
+        let Some(owner) = owner else { return Ok(LifeLine { conserved: true, ..LifeLine::default() }) };
         self.life_line_of(owner, &self.losses.counts(&self.plant, owner)?)
     }
 

@@ -29,6 +29,7 @@ use crate::pipeline::{Directory, Network, Owner, PipelineError, network_pin, ver
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, Result};
+use crate::store::StoreError;
 
 /// Between looks of a process that follows the holder of the lease, and after a failure.
 const BETWEEN_ROUNDS: Duration = Duration::from_millis(400);
@@ -145,12 +146,33 @@ async fn watch(site: Arc<Site>) {
             Err(error @ PipelineError::NodeBehind { .. }) => {
                 Some(format!("the chain's node is behind; anchoring is paused, records are safe: {error}"))
             }
-            Err(error) => Some(away(&error)),
+            Err(error @ PipelineError::Chain(_)) => Some(away(&error)),
+            Err(error) => {
+                let text = format!("the chain is not followed now; anchoring is paused, records are safe: {error}");
+                site.tell_unread(&error, &text);
+                tokio::time::sleep(AWAY).await;
+                continue;
+            }
         };
         if let Some(problem) = pause {
             site.parts.link.answers(false);
             site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &problem);
-            tokio::time::sleep(Duration::from_secs(2)).await;
+            tokio::time::sleep(AWAY).await;
+        }
+    }
+}
+
+impl Site {
+    /// Only what is the chain's trouble ends with its next answer.
+    fn tell_unread(&self, error: &PipelineError, text: &str) {
+        match error {
+            // This worker's work for all ends.
+            PipelineError::Store(StoreError::NotHolder { .. }) => {}
+            PipelineError::Store(_) => self.parts.hub.alarm(text),
+            _ => {
+                self.parts.link.answers(false);
+                self.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, text);
+            }
         }
     }
 }
@@ -186,9 +208,8 @@ async fn follow_holder(site: Arc<Site>) {
             // The holder reads it next.
             Ok(None) => pause = BETWEEN_ROUNDS / 2,
             Err(error) => {
-                site.parts.link.answers(false);
                 let text = format!("the chain's state is not known here, and reading is refused meanwhile: {error}");
-                site.parts.hub.notice_about(link::ABOUT, NoticeLevel::Error, &text);
+                site.tell_unread(&error, &text);
                 pause = AWAY;
             }
         }
@@ -322,5 +343,30 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                 pause = (pause * 2).min(Duration::from_secs(5));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::event::Event;
+    use crate::site::testing::site_with_chain;
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_database_that_is_away_is_not_taken_for_a_silent_chain() {
+        let (site, _folder) = site_with_chain();
+        let (mut events, server) = (site.events(), std::path::PathBuf::from("postgres://db/fleet"));
+        site.tell_unread(&StoreError::NotHolder { server: server.clone() }.into(), "another holds the lease");
+        let away = StoreError::ServerAway { server, detail: "refused".to_owned() };
+        site.tell_unread(&away.into(), "the database is away");
+        let subject = loop {
+            match events.recv().await.expect("the site is there") {
+                Event::Notice { text, about, .. } if text == "the database is away" => break about,
+                Event::Notice { text, .. } => assert_ne!(text, "another holds the lease"),
+                Event::Changed { .. } => {}
+            }
+        };
+        assert!(subject.is_none() && !site.parts.link.is_silent());
+        site.stop().await;
     }
 }

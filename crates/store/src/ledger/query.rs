@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::directory;
 use super::durability::{self, Durability};
 use super::rows::{self, RecordRow, Stream, Which, time, unsigned};
-use super::{Counts, LeaseState, Losses, Records};
+use super::{Counts, LeaseState, Losses, Records, SCHEMA};
 use crate::StoreError;
 use crate::database::{self, capped, whole};
 use crate::model::{
     Address, FilterId, RecordKind, RecordState, RecorderId, SignerId, Timestamp, TopicId, TopicPatterns, clean,
 };
 use crate::notes::{self, Note};
-use crate::sql::postgres::Server;
+use crate::sql::postgres::{Server, Watermark};
 use crate::sql::{Connection, Row, Statement, Value, params};
 
 const LARGEST_PAGE: usize = 10_000;
@@ -478,16 +478,23 @@ pub struct Glance {
 impl Glance {
     /// Opens an existing file.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
-        Ok(Self { connection: database::open_glance(path)?.into(), path: path.to_owned() })
+        Ok(Self { connection: database::open_glance(path, &SCHEMA)?.into(), path: path.to_owned() })
     }
 
-    /// A server's store; `None` if its tables are not made yet.
-    pub fn on_server(url: &str, roots: Option<&Path>) -> Result<(Option<Self>, Durability), StoreError> {
-        let server = Server::at(url, roots)?;
+    /// A server's store, as `watermark` remembers it; `None` if its tables are not made yet.
+    pub fn on_server(
+        url: &str,
+        roots: Option<&Path>,
+        watermark: Option<&Path>,
+    ) -> Result<(Option<Self>, Durability), StoreError> {
+        let mut server = Server::at(url, roots)?;
+        if let Some(file) = watermark {
+            server = server.remembered_by(Watermark::look(file)?);
+        }
         let path = server.place().to_owned();
         let looked = || {
             let client = server.connect()?;
-            let is_made = server.is_made(&client)?;
+            let is_made = server.check(&client)?;
             let connection = Connection::from(client);
             let durability = durability::of(&connection)?.ok_or(StoreError::Closed)?;
             Ok((is_made.then_some(connection), durability))

@@ -59,6 +59,7 @@ fn samples() -> Vec<(Kind, String)> {
         of::<GrantedFrom>(1),
         of::<AdmittedOwners>(vec![AdmittedOwner { owner: address, since: at, by: text() }]),
         of::<SharedSystemKeys>(SealedSystemKeys { join: 12, list: text(), secrets: text() }),
+        of::<HoldersSettings>([("confirmations".to_owned(), "3".to_owned())].into()),
         of::<AnnouncedRevoke>(12),
         of::<ErasuresTold>(12),
         of::<TakenOfFeed>(taken),

@@ -4,6 +4,7 @@ use super::{Robot, fixtures};
 use crate::app::{Effect, Feed, Key, Popup, Purpose, Settings, State, Tag};
 use crate::model::ErrorKind;
 use crate::screens::overview::first_steps;
+use crate::service::reply::{HealthLevel, PartHealth};
 use crate::service::{Command, Reply};
 
 fn passphrase_twice(robot: &mut Robot, once: &str, again: &str) {
@@ -39,6 +40,20 @@ fn the_first_steps_lead_through_until_all_are_done() {
     robot.types("5");
     robot.site_answers(true);
     assert!(first_steps(&robot.state).is_empty());
+}
+
+#[test]
+fn a_worker_of_a_gateway_is_led_to_its_own_steps() {
+    let mut robot = Robot::at_work(false);
+    let mut site = fixtures::site();
+    site.health.push(PartHealth::new("lease", HealthLevel::Ok, "held here, 1 worker"));
+    robot.state.site = Some(site.clone());
+    let names = |robot: &Robot| first_steps(&robot.state).iter().map(|step| step.name).collect::<Vec<_>>();
+    assert_eq!(names(&robot), ["identity", "gateway"]);
+    site.health.iter_mut().filter(|part| part.part == "gateway").for_each(|part| part.level = HealthLevel::Ok);
+    robot.state.site = Some(site);
+    robot.state.identity = Some(fixtures::identity(true, true, true));
+    assert!(names(&robot).is_empty(), "it serves");
 }
 
 #[test]

@@ -103,10 +103,13 @@ impl Admissions {
         {
             let _one_at_a_time = self.changing.lock().await;
             if !self.list()?.iter().any(|admitted| admitted.owner == owner) {
-                return Err(input(format!(
-                    "{owner} is not on this gateway's allow list; `authros gateway allowed` \
-                                          shows it"
-                )));
+                let advice = match self.parts.config.gateway.open {
+                    true => {
+                        "and an open gateway serves it as a guest; set gateway.admission = \"closed\" to shut it out"
+                    }
+                    false => "so it is not served; `authros gateway allowed` shows the list",
+                };
+                return Err(input(format!("{owner} is not on this gateway's allow list, {advice}")));
             }
             let denied = async { self.change(|list| list.retain(|admitted| admitted.owner != owner)) };
             self.parts.log.deed(profile, "gateway deny", &owner.to_string(), denied).await?;

@@ -37,6 +37,7 @@ use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
 use crate::service::reply::{GatewayStatusView, GatewayView, RefusedView, Result, SenderView, SystemKeyView};
 use crate::store::BoundName;
+use crate::store::notes::HoldersSettings;
 
 /// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -244,7 +245,11 @@ impl Gateway {
 
     pub fn status(&self) -> Result<GatewayStatusView> {
         let bound = self.bound_senders()?;
-        let lease = self.parts.plant.ledger.lease.state()?.map(leading::view);
+        let ledger = &self.parts.plant.ledger;
+        let mut lease = ledger.lease.state()?.map(leading::view);
+        if let Some(lease) = &mut lease {
+            lease.unlike = self.parts.config.unlike(&ledger.notes.read(&HoldersSettings {})?.unwrap_or_default());
+        }
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
         let serving = self.serving();
         let Some(serving) = &*serving else {

@@ -211,10 +211,10 @@ impl Profiles {
     }
 
     pub fn keyring_faults(&self) -> Result<Vec<(ProfileName, String)>> {
-        Ok(keyring_faults(&self.parts.home, &self.known_accounts()?))
+        Ok(keyring_faults(&self.parts.home, self.known_accounts()?))
     }
 
-    fn known_accounts(&self) -> Result<Accounts> {
+    pub fn known_accounts(&self) -> Result<Accounts> {
         Ok(self.parts.plant.ledger.notes.read(&ProfileAccounts {})?.unwrap_or_default())
     }
 
@@ -406,11 +406,16 @@ impl Profiles {
     }
 }
 
-pub(crate) fn keyring_faults(home: &Home, known: &Accounts) -> Vec<(ProfileName, String)> {
-    let fault = |(profile, accounts): (&ProfileName, &Vec<Address>)| {
-        Some((profile.clone(), keyring_fault(home, profile, accounts)?))
+/// Of the profiles that the store knows, and of those that have a keyring here.
+pub(crate) fn keyring_faults(home: &Home, mut known: Accounts) -> Vec<(ProfileName, String)> {
+    for profile in home.profiles() {
+        known.entry(profile).or_default();
+    }
+    let fault = |(profile, accounts): (ProfileName, Vec<Address>)| {
+        let fault = keyring_fault(home, &profile, &accounts)?;
+        Some((profile, fault))
     };
-    known.iter().filter_map(fault).collect()
+    known.into_iter().filter_map(fault).collect()
 }
 
 fn either(accounts: &[Address]) -> String {
@@ -420,7 +425,7 @@ fn either(accounts: &[Address]) -> String {
 
 fn foreign_keyring(path: &Path, found: Address, profile: &ProfileName, accounts: &[Address]) -> String {
     format!(
-        "{} is the keyring of account {found}, and profile '{profile}' of this home has account {}: put its own keyring \
+        "{} is the keyring of account {found}, and profile '{profile}' of this home has account {}; put its own keyring \
          back, or use another --profile for the other account",
         path.display(),
         either(accounts)
@@ -442,15 +447,15 @@ fn keyring_fault(home: &Home, profile: &ProfileName, accounts: &[Address]) -> Op
     let path = home.keyring(profile);
     if !path.exists() {
         return Some(format!(
-            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else: bring \
-             a copy back (`authros --profile {profile} keys restore FILE`) or restore a backup (`authros backup restore FILE`); \
-             for another account use another --profile"
+            "the keyring of profile '{profile}', account {account}, is gone, and its records open with nothing else; bring \
+             a copy back (`authros --profile {profile} keys restore FILE`), restore a backup (`authros backup restore FILE`), \
+             or use another --profile for another account"
         ));
     }
     match read_public(&path) {
-        Ok(public) if accounts.contains(&public.address) => None,
+        Ok(public) if accounts.is_empty() || accounts.contains(&public.address) => None,
         Ok(public) => Some(foreign_keyring(&path, public.address, profile, accounts)),
-        Err(error) => Some(format!("the keyring of profile '{profile}', account {account}: {error}")),
+        Err(error) => Some(format!("the keyring of profile '{profile}': {error}")),
     }
 }
 

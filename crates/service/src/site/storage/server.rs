@@ -15,8 +15,14 @@ use crate::store::{Ledger, StoreError};
 
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
 
-/// The second value: the database was restored to an earlier time than this home has seen.
-pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Path>) -> Result<(Ledger, bool)> {
+/// The second value: the database was restored to an earlier time than this home has seen, and `works` accepts it. What only
+/// looks is refused: it changes nothing.
+pub(in crate::site) fn open_on_server(
+    home: &Home,
+    url: &str,
+    roots: Option<&Path>,
+    works: bool,
+) -> Result<(Ledger, bool)> {
     if home.ledger().exists() {
         return Err(refused(format!(
             "{} has records in a file already, and a gateway on a server begins in a new home: give another --home, or \
@@ -26,7 +32,7 @@ pub(in crate::site) fn open_on_server(home: &Home, url: &str, roots: Option<&Pat
     }
     let watermark = home.watermark();
     let (ledger, restored) = match Ledger::on_server_of(url, roots, &watermark) {
-        Err(StoreError::ServerRestored { .. }) => {
+        Err(StoreError::ServerRestored { .. }) if works => {
             // Another gateway's never had what this home has seen.
             check_gateway(&Ledger::on_server(url, roots)?, home)?;
             Ledger::renew_on_server(url, roots, &watermark)?;

@@ -224,6 +224,26 @@ fn a_database_that_was_restored_is_written_only_after_a_new_recorder_and_feed_be
 }
 
 #[test]
+fn an_empty_database_is_not_filled_for_a_home_that_has_seen_it_with_records() {
+    let Some(cluster) = common("engines::an_empty_database_is_not_filled") else { return };
+    let home = tempfile::tempdir().expect("a folder");
+    let watermark = home.path().join("watermark");
+    let ledger = Ledger::on_server_of(&cluster.schema(), None, &watermark).expect("made");
+    append(&ledger, 1, 1).expect("acknowledged");
+    drop(ledger);
+    let (empty, seen) = (cluster.schema(), std::fs::read(&watermark).expect("written"));
+    let looked = Glance::on_server(&empty, None, Some(&watermark)).map(drop);
+    for opened in [looked, Ledger::on_server_of(&empty, None, &watermark).map(drop)] {
+        let refused = opened.expect_err("it is another one, or lost everything");
+        assert!(matches!(refused, StoreError::ServerEmpty { commits: 1.., .. }), "{refused}");
+        assert_eq!(refused.kind(), ErrorKind::Refused);
+    }
+    assert_eq!(std::fs::read(&watermark).expect("there"), seen);
+    let (glance, _) = Glance::on_server(&empty, None, None).expect("looked at");
+    assert!(glance.is_none(), "nothing was made");
+}
+
+#[test]
 fn a_connection_begins_and_ends_although_no_standby_is_there() {
     let Some((cluster, ledger)) = own("engines::a_connection_begins_and_ends") else { return };
     append(&ledger, 1, 1).expect("acknowledged");

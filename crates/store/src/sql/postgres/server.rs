@@ -135,9 +135,9 @@ impl Server {
         Ok(Self { driver, config, tls: tls.map(MakeRustlsConnect::new), place, watermark })
     }
 
-    /// Compared with what this file remembers of it.
-    pub fn remembered_in(self, file: &Path) -> std::result::Result<Self, StoreError> {
-        Ok(Self { watermark: Arc::new(Watermark::in_file(file)?), ..self })
+    /// Compared with what a home remembers of it.
+    pub fn remembered_by(self, watermark: Watermark) -> Self {
+        Self { watermark: Arc::new(watermark), ..self }
     }
 
     /// Scheme, hosts and database.
@@ -145,22 +145,31 @@ impl Server {
         &self.place
     }
 
-    /// Makes the tables in an empty database. [`StoreError::ServerRestored`] if the database lacks what this home has seen.
+    /// Makes the tables in an empty database.
     pub fn writer(&self) -> std::result::Result<Client, StoreError> {
         let client = self.begun()?;
-        let is_made = self.is_made(&client)?;
-        if self.watermark.check(&client, is_made)? {
-            return Err(StoreError::ServerRestored { server: self.place.clone() });
-        }
-        if is_made {
+        if self.check(&client)? {
             // Nothing was written, so nothing waits for a standby.
             client.undo()?;
-            may_write(&client)?;
         } else {
             client.script(SCHEMA)?;
             client.commit()?;
         }
         Ok(client)
+    }
+
+    /// Refuses what cannot be this home's store; `false` = the tables are not made yet. For all who open the store, also those
+    /// who only look.
+    pub fn check(&self, client: &Client) -> std::result::Result<bool, StoreError> {
+        self.check_clock(client)?;
+        let (is_made, server) = (self.is_made(client)?, self.place.clone());
+        match self.watermark.check(client, is_made)? {
+            true if is_made => return Err(StoreError::ServerRestored { server }),
+            true => return Err(StoreError::ServerEmpty { server, commits: self.watermark.commits() }),
+            false if is_made => may_write(client)?,
+            false => {}
+        }
+        Ok(is_made)
     }
 
     /// Inside a transaction by which the database, although restored, has what this home has seen.
@@ -178,7 +187,6 @@ impl Server {
     /// Inside a transaction, alone with the tables.
     fn begun(&self) -> std::result::Result<Client, StoreError> {
         let client = self.connect()?;
-        self.check_clock(&client)?;
         client.script(LONGEST_PAUSE)?;
         client.script(PENDING)?;
         client.begin()?;
@@ -187,7 +195,7 @@ impl Server {
     }
 
     /// Whether the store's tables are there, in the form that this program knows.
-    pub fn is_made(&self, client: &Client) -> std::result::Result<bool, StoreError> {
+    fn is_made(&self, client: &Client) -> std::result::Result<bool, StoreError> {
         if client.number(IS_MADE)?.is_none() {
             return Ok(false);
         }

@@ -35,8 +35,8 @@ impl Watermark {
         })
     }
 
-    /// Creates the file if it is missing.
-    pub fn in_file(path: &Path) -> std::result::Result<Self, StoreError> {
+    /// What the file remembers; nothing is written there.
+    pub fn look(path: &Path) -> std::result::Result<Self, StoreError> {
         let found = match fs::read(path) {
             Ok(bytes) => Some(bytes),
             Err(error) if error.kind() == ErrorKind::NotFound => None,
@@ -44,20 +44,30 @@ impl Watermark {
         };
         let (id, commits) = match found.as_deref().map(parsed) {
             Some(Some(known)) => known,
-            other => {
-                // A damaged file may have seen anything: by one commit of a new id, every database is behind it.
-                let new = (random(path)?, i64::from(other.is_some()));
-                path.parent().map_or(Ok(()), files::private_directory)?;
-                files::atomic_write(path, &[&new.0[..], &new.1.to_be_bytes()].concat())?;
-                new
-            }
+            // A damaged file may have seen anything: by one commit of a new id, every database is behind it.
+            other => (random(path)?, i64::from(other.is_some())),
         };
-        let file = Some(files::open_private(path)?);
-        Ok(Self { id, commits: AtomicI64::new(commits), is_behind: AtomicBool::new(false), file })
+        Ok(Self { id, commits: AtomicI64::new(commits), is_behind: AtomicBool::new(false), file: None })
+    }
+
+    /// Creates the file if it is missing.
+    pub fn in_file(path: &Path) -> std::result::Result<Self, StoreError> {
+        let mark = Self::look(path)?;
+        let bytes = [&mark.id[..], &mark.commits().to_be_bytes()].concat();
+        if fs::read(path).ok().as_ref() != Some(&bytes) {
+            path.parent().map_or(Ok(()), files::private_directory)?;
+            files::atomic_write(path, &bytes)?;
+        }
+        Ok(Self { file: Some(files::open_private(path)?), ..mark })
     }
 
     pub fn id(&self) -> [u8; 16] {
         self.id
+    }
+
+    /// The newest that this home has seen.
+    pub fn commits(&self) -> i64 {
+        self.commits.load(Ordering::Acquire)
     }
 
     /// This commit is durable there.
@@ -72,7 +82,7 @@ impl Watermark {
     /// Whether a database lacks commits that this home has seen. `is_made`: it has the store's tables.
     pub fn check(&self, client: &Client, is_made: bool) -> Result<bool> {
         let there = if is_made { client.first(COMMITS, &[self.id])?.unwrap_or(0) } else { 0 };
-        let is_behind = there < self.commits.load(Ordering::Acquire);
+        let is_behind = there < self.commits();
         self.is_behind.store(is_behind, Ordering::Release);
         Ok(is_behind)
     }
@@ -84,7 +94,7 @@ impl Watermark {
 
     /// Inside a transaction: from its commit on, the database has all that this home has seen.
     pub fn accept(&self, client: &Client) -> Result<()> {
-        let values = (self.id, self.commits.load(Ordering::Acquire));
+        let values = (self.id, self.commits());
         client.execute(&client.prepared(RAISE)?, &values).map(drop)
     }
 }
@@ -113,15 +123,17 @@ mod tests {
         let new = Watermark::in_file(&path).expect("made");
         new.rise(7);
         let again = Watermark::in_file(&path).expect("read");
-        assert_eq!((again.id, again.commits.load(Ordering::Acquire)), (new.id, 7));
+        assert_eq!((again.id, again.commits()), (new.id, 7));
         new.rise(300);
-        assert_eq!(Watermark::in_file(&path).expect("read").commits.load(Ordering::Acquire), 300);
+        assert_eq!(Watermark::in_file(&path).expect("read").commits(), 300);
 
         for damaged in [&b""[..], &[1; 23], &[1; 25], &[0xff; 24]] {
             fs::write(&path, damaged).expect("damaged");
+            assert_eq!(Watermark::look(&path).expect("read").commits(), 1);
+            assert_eq!(fs::read(&path).expect("there"), damaged, "a look writes nothing");
             let other = Watermark::in_file(&path).expect("made anew");
             assert_ne!(other.id, new.id);
-            assert_eq!(other.commits.load(Ordering::Acquire), 1, "no database has a commit of this id");
+            assert_eq!(other.commits(), 1, "no database has a commit of this id");
         }
     }
 }
