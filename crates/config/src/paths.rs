@@ -33,8 +33,6 @@ pub struct Home {
     keymap: PathBuf,
     themes: PathBuf,
     console: PathBuf,
-    /// The read-only folder that this is a working copy of.
-    original: Option<PathBuf>,
 }
 
 fn set(name: &str) -> Option<OsString> {
@@ -57,16 +55,6 @@ impl Home {
     /// A single-folder home, for `--home`.
     pub fn new(root: PathBuf) -> Self {
         Self::apart(&root, &root, &root)
-    }
-
-    /// The same home with its data in `copy`; no change leaves the copy.
-    #[must_use]
-    pub fn copied_to(&self, copy: PathBuf) -> Self {
-        Self { root: copy, original: Some(self.root.clone()), ..self.clone() }
-    }
-
-    pub fn original(&self) -> Option<&Path> {
-        self.original.as_deref()
     }
 
     /// The user's own home. Without `HOME` a single-folder home, `$XDG_DATA_HOME/authros` or `./authros-home`.
@@ -94,7 +82,6 @@ impl Home {
             keymap: config.join(KEYMAP),
             themes: config.join(THEMES),
             console: state.join(CONSOLE),
-            original: None,
         }
     }
 

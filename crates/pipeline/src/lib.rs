@@ -59,14 +59,20 @@ pub mod watcher;
 
 pub use author::Author;
 pub use block_times::BlockTimes;
-pub use directory::Directory;
+pub use columns::Shown;
+pub use directory::{Directory, GrantState, Granted};
+pub use epoch::tag_choice;
 pub use error::{PipelineError, Result};
 pub use forwarder::Forwarder;
+pub use importer::Importer;
+pub use intake::Anchors;
 pub use losses::Losses;
 pub use owner::Owner;
 pub use pins::{PinRules, Pins};
-pub use recorder::Recorder;
-pub use sender::{Outgoing, Sender};
+pub use reader::{Definitions, Opening, Reader, is_held};
+pub use recorder::{CapturedMessage, Recorder};
+pub use ring::Rings;
+pub use sender::{LaneState, Outgoing, Sender};
 pub use session::CaptureSession;
 
 use std::path::Path;

@@ -4,22 +4,19 @@ use std::collections::VecDeque;
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 
-use super::parts::Parts;
-use super::{Site, blocking};
+use crate::alerts::{Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, Webhook, place_name, rule_of};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
-use crate::model::Timestamp;
-use crate::service::alerts::{
-    Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of,
+use crate::figures::{Figures, short};
+use crate::model::{Timestamp, locked};
+use crate::reply::{
+    AlertTestView, AlertView, AlertsView, EndedAlert, Failure, NoticeLevel, Part, Result, Severity, input,
 };
-use crate::service::event::{NoticeLevel, Part};
-use crate::service::failure::input;
-use crate::service::figures::{Figures, short};
-use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Result, Severity};
+use crate::site::{Parts, Site, blocking};
 
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
 /// Refusals of the first delivery after which it is dropped: the others wait behind it.
@@ -77,46 +74,42 @@ impl Alerts {
         Self { settings, path, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
     }
 
-    fn shown_now(&self) -> MutexGuard<'_, Shown> {
-        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
-        let shown = self.shown_now();
+        let shown = locked(&self.shown);
         (shown.alerts.clone(), shown.over.iter().cloned().collect())
     }
 
     pub fn by_rule(&self) -> Vec<(&'static str, u64)> {
-        let shown = self.shown_now();
+        let shown = locked(&self.shown);
         let count = |rule: &str| shown.alerts.iter().filter(|alert| rule_of(&alert.key) == rule).count();
         RULES.iter().map(|rule| (*rule, u64::try_from(count(rule)).unwrap_or(u64::MAX))).collect()
     }
 
     pub fn deliveries(&self) -> (u64, u64) {
-        self.shown_now().deliveries
+        locked(&self.shown).deliveries
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = locked(&self.known);
         let known = known.get_or_insert_with(|| {
             let queue = Queue::open(&self.path);
             let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
             Known { judge, standing, queue, reminded: Instant::now() }
         });
         let told = work(known);
-        self.shown_now().deliveries = known.queue.counts();
+        locked(&self.shown).deliveries = known.queue.counts();
         told
     }
 
     fn place(&self) -> Result<&AlertPlace> {
-        let nobody = "alerts are only shown, not sent; set alerts.webhook or alerts.command";
+        let nobody = "alerts are only shown, not sent; set alerts.webhook";
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
     /// Changes caused by these figures; queues their deliveries.
     fn look(&self, figures: &Figures) -> Vec<Change> {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
-        let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
+        let forgets = self.settings.place.as_ref().is_some_and(|place| place.form == AlertForm::Alertmanager);
         let told = self.settings.place.is_some();
         let (changes, standing) = self.with(|known| {
             let mut judged = known.judge.judge(figures);
@@ -132,13 +125,13 @@ impl Alerts {
             }
             (changes, known.standing.all())
         });
-        self.shown_now().refresh(figures.now, standing, &changes);
+        locked(&self.shown).refresh(figures.now, standing, &changes);
         self.added.notify_one();
         changes
     }
 
     fn view(&self) -> AlertsView {
-        let nobody = || "nobody; set alerts.webhook or alerts.command".to_owned();
+        let nobody = || "nobody; set alerts.webhook".to_owned();
         let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
         let (alerts, (waiting, dropped)) = self.with(|known| (known.standing.all(), known.queue.counts()));
         AlertsView { alerts, over: self.shown().1, told, waiting, dropped }
@@ -225,7 +218,7 @@ impl Site {
             return Ok(());
         };
         // Rebuilt each time: a secret may have been replaced.
-        Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
+        Webhook::new(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
         blocking(self, move |site| {
             site.alerts.with(|known| known.queue.done(number, dropped));
@@ -251,7 +244,7 @@ impl Site {
         };
         let number = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.next_number()))).await?;
         let delivery = Delivery { number, state: News::Test, alert, ended: None };
-        let carried = Carrier::of(place)?.carry(&delivery, 0).await;
+        let carried = Webhook::new(place)?.carry(&delivery, 0).await;
         let text = carried.map_err(|undelivered| undelivered.failure)?;
         Ok(AlertTestView { place: place_name(place), text })
     }
@@ -276,7 +269,7 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
-        use crate::service::alerts::troubles::{before, well};
+        use crate::alerts::troubles::{before, well};
         let settings = [("alerts.disk", "1000MiB"), ("alerts.grant_ends", "1h")];
         let needs = super::super::Needs { ros: false, chain: false };
         let (site, folder) = super::super::testing::site_of(&settings, needs);

@@ -5,19 +5,18 @@ use std::time::Instant;
 
 use tokio::task::block_in_place;
 
-use super::{NetworkState, RosState, Site};
 use crate::chain::{Call, Chain, Priced, Shortfall, offered};
 use crate::durability;
 use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, counted, without_secrets};
+use crate::pipeline::LaneState;
 use crate::pipeline::forwarder::Link as Line;
-use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::watcher::foreign;
-use crate::service::reply::{
+use crate::reply::{
     ChainView, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, Result, SiteView, WaitingView,
 };
-use crate::site::chain::administration::Administering;
-use crate::site::chain::lanes::Pause;
+use crate::site::chain::link::Pause;
+use crate::site::{Administering, NetworkState, RosState, Site};
 use crate::store::StateCounts;
 
 const GAS_OVER: u64 = 100;
@@ -47,14 +46,6 @@ impl Site {
 
     /// The one source of health for status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>> {
-        if let Some(original) = self.home().original() {
-            let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
-            return Ok(vec![
-                PartHealth::new("home", HealthLevel::Absent, &text),
-                self.chain_health(),
-                self.store_health()?,
-            ]);
-        }
         let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];
         health.extend(self.lease_health()?);
         health.extend(self.cache_health());
