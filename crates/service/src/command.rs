@@ -415,9 +415,6 @@ impl<T: Zeroize> fmt::Debug for Secret<T> {
     }
 }
 
-#[cfg(test)]
-mod right_tests;
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Needed {
     /// An operator with this right, or the owner.
@@ -496,3 +493,6 @@ impl Command {
         Err(refused(format!("this is the home of a gateway on a server (store.url): {elsewhere}")))
     }
 }
+
+#[cfg(test)]
+mod right_tests;

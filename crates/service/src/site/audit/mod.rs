@@ -1,5 +1,8 @@
 //! The audit log, and the audit of the records themselves.
 
+#[cfg(test)]
+mod tests;
+
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Display;
 use std::sync::{Arc, Mutex};
@@ -270,9 +273,6 @@ impl Refusals {
         again
     }
 }
-
-#[cfg(test)]
-mod tests;
 
 const PAGE: usize = 1000;
 /// Characters; a reason may be a sentence or two.

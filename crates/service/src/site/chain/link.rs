@@ -322,10 +322,6 @@ impl Freshness {
     }
 }
 
-#[cfg(test)]
-#[path = "freshness_tests.rs"]
-mod freshness_tests;
-
 const LOOK: Duration = Duration::from_secs(2);
 
 type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
@@ -457,3 +453,7 @@ impl Lanes {
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[path = "freshness_tests.rs"]
+mod freshness_tests;

@@ -230,9 +230,6 @@ impl Seat {
     }
 }
 
-#[cfg(test)]
-mod loan_tests;
-
 const WIDEST: usize = 255;
 
 impl Devices {
@@ -304,6 +301,9 @@ pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }
+
+#[cfg(test)]
+mod loan_tests;
 
 #[cfg(test)]
 mod tests {

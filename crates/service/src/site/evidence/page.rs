@@ -450,9 +450,6 @@ fn easy(out: &mut String, readable: &Readable) {
     }
 }
 
-#[cfg(test)]
-mod tests;
-
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 340.0;
 /// Above the plot, and on its right.
@@ -623,6 +620,9 @@ pub(super) fn series(name: &str, numbers: &[(Timestamp, f64)]) -> Option<Plot> {
     let axes = ("seconds".to_owned(), name.to_owned());
     Some(Plot { title: name.to_owned(), axes, points, path: true, here: None })
 }
+
+#[cfg(test)]
+mod tests;
 
 #[cfg(test)]
 mod figures_tests {

@@ -325,9 +325,6 @@ fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Addre
     })
 }
 
-#[cfg(test)]
-mod tests;
-
 /// Characters; ROS names are shorter.
 const WIDEST: usize = 255;
 
@@ -499,3 +496,6 @@ pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
         ..RecordQuery::default()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -218,9 +218,6 @@ fn contradictions(plant: &Plant) -> Result<Vec<String>> {
     Ok(found)
 }
 
-#[cfg(test)]
-mod tests;
-
 type Accounts = BTreeMap<ProfileName, Vec<Address>>;
 
 /// The second value: the database was restored to an earlier time than this home has seen.
@@ -580,3 +577,6 @@ fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
     let span = &incident.span;
     row.captured_at >= span.since && span.until.is_none_or(|until| row.captured_at < until) && span.is_about(&row.topic)
 }
+
+#[cfg(test)]
+mod tests;
