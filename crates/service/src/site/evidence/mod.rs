@@ -74,7 +74,7 @@ impl Evidence {
         let in_bulk = of_topics.iter().map(|(topic, rows)| ("disclose topic", self.bulk(topic, rows)));
         // A disclosure cannot be undone: logged before anything leaves.
         let deeds: Vec<(&str, String)> = named.chain(in_bulk).chain([("export evidence", file)]).collect();
-        let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file);
+        let written = Box::pin(self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file));
         let mut view = self.parts.log.deeds(&owner.profile, &deeds, written).await?;
         view.notes.extend(left_out);
         Ok(view)
