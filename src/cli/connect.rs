@@ -12,7 +12,7 @@ use crate::paths::{Home, PlaceError};
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::reply::{input, refused};
 use crate::service::socket::{self, Greeting};
-use crate::service::{Client, Failure, Needs, Site, accounts::Account};
+use crate::service::{Client, Failure, Needs, Site, accounts::Account, looking};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
@@ -229,10 +229,24 @@ impl Context {
 
     /// `None` if another process holds the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        if looking::is_read_only(&self.home) {
+            return self.look(needs);
+        }
         let Some(lock) = self.lock()? else { return Ok(None) };
         let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
         socket::listen(&site)?;
         Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+    }
+
+    /// Opens a read-only home through a working copy; such a site sends nothing.
+    fn look(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        let Some(copy) = looking::working_copy(&self.home)? else { return Ok(None) };
+        let started = || {
+            let Some(lock) = SiteLock::acquire(&copy.site_lock())? else { return Ok(None) };
+            let site = Site::start(copy.clone(), self.config.clone(), lock, Needs { ros: false, ..needs })?;
+            Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+        };
+        started().inspect_err(|_: &Failure| looking::forget(&copy))
     }
 
     pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
@@ -295,6 +309,13 @@ impl Context {
 }
 
 impl Connection {
+    pub fn tell_read_only(&self, output: &Output) {
+        let home = self.site.as_ref().map(|site| site.place());
+        if let Some((home, original)) = home.as_ref().and_then(|home| Some((home, home.original()?))) {
+            output.note(&format!("authros: {}", looking::about(home, original)));
+        }
+    }
+
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
             site.oversee();
@@ -308,7 +329,7 @@ impl Connection {
                 () = unasked(&site) => {}
                 _ = super::serve::asked_to_end() => {}
             }
-            site.stop().await;
+            stop(site).await;
         }
     }
 
@@ -317,9 +338,15 @@ impl Connection {
         if let Some(site) = self.site {
             // Whether all were answered makes no difference.
             drop(tokio::time::timeout(FAREWELL, unasked(&site)).await);
-            site.stop().await;
+            stop(site).await;
         }
     }
+}
+
+async fn stop(site: Arc<Site>) {
+    let home = site.place();
+    site.stop().await;
+    looking::forget(&home);
 }
 
 async fn unasked(site: &Site) {

@@ -57,6 +57,7 @@ fn is_fuller_open(command: &Command) -> bool {
 
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
+    connection.tell_read_only(output);
     let is_own = connection.site.is_some();
     if is_own && context.config.site.is_some() && !plan.needs.chain && is_of_gateway(&plan.question.command) {
         output.note(NOT_FETCHED);

@@ -58,6 +58,7 @@ mod passphrases;
 mod places;
 mod playing;
 mod questions;
+mod read_only;
 mod real_chain;
 mod real_ros;
 mod recordings;

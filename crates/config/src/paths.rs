@@ -33,6 +33,8 @@ pub struct Home {
     keymap: PathBuf,
     themes: PathBuf,
     console: PathBuf,
+    /// The read-only folder that this is a working copy of.
+    original: Option<PathBuf>,
 }
 
 fn set(name: &str) -> Option<OsString> {
@@ -55,6 +57,16 @@ impl Home {
     /// A single-folder home, for `--home`.
     pub fn new(root: PathBuf) -> Self {
         Self::apart(&root, &root, &root)
+    }
+
+    /// The same home with its data in `copy`; no change leaves the copy.
+    #[must_use]
+    pub fn copied_to(&self, copy: PathBuf) -> Self {
+        Self { root: copy, original: Some(self.root.clone()), ..self.clone() }
+    }
+
+    pub fn original(&self) -> Option<&Path> {
+        self.original.as_deref()
     }
 
     /// The user's own home. Without `HOME` a single-folder home, `$XDG_DATA_HOME/authros` or `./authros-home`.
@@ -82,6 +94,7 @@ impl Home {
             keymap: config.join(KEYMAP),
             themes: config.join(THEMES),
             console: state.join(CONSOLE),
+            original: None,
         }
     }
 

@@ -487,6 +487,23 @@ pub(super) const BACKS_UP: Elsewhere = Some(
 );
 
 impl Command {
+    /// Whether it changes neither home nor chain; a read-only home allows nothing else.
+    pub fn only_reads(&self) -> bool {
+        let shows = matches!(
+            self,
+            Self::Unlock { .. }
+                | Self::ExportUpload { .. }
+                | Self::ExportEvidence(_)
+                | Self::OpenShared { .. }
+                | Self::ViewFile { .. }
+                | Self::ViewPath { .. }
+                | Self::ExportAudit { .. }
+                | Self::ListAllUploads(_)
+                | Self::ExportRecording(_)
+        );
+        shows || self.needs() == LOOK
+    }
+
     /// Refuses what a home with its store on a server does not do.
     pub fn check_on_server(&self) -> Result<()> {
         let Some(elsewhere) = self.elsewhere() else { return Ok(()) };

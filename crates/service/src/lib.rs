@@ -19,6 +19,7 @@ pub mod doctor;
 mod durability;
 mod figures;
 pub mod hub;
+pub mod looking;
 pub mod reply;
 pub mod restoring;
 pub mod site;

@@ -3,6 +3,7 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 
 use super::audit::is_operator;
@@ -35,6 +36,9 @@ impl Site {
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply> {
         let Request { profile, command } = request;
         let owner = || self.parts.owners.unlocked(&profile);
+        if let Some(original) = self.home().original().filter(|_| !command.only_reads()) {
+            return Err(read_only(original));
+        }
         if self.parts.is_on_server() {
             command.check_on_server()?;
         }
@@ -302,4 +306,13 @@ impl Site {
         self.joined.caught_up(profile).await?;
         Ok(owner)
     }
+}
+
+fn read_only(original: &Path) -> Failure {
+    let root = original.display();
+    let text = format!(
+        "{root} is read-only, so only status, audit, evidence export, and listing, opening and exporting records work; \
+         make it writable for everything else"
+    );
+    Failure::new(ErrorKind::Home, text)
 }

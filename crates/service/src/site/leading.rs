@@ -258,6 +258,13 @@ const TIMES_A_LOOK: u32 = 4;
 pub(super) fn start(site: &Arc<Site>, needs: Needs, opened: mpsc::UnboundedReceiver<Arc<Owner>>) -> Result<()> {
     let supervisor = &site.parts.supervisor;
     supervisor.keep("news", &site.parts.hub, Hub::run);
+    if site.parts.home.original().is_some() {
+        // This site only reads: it captures, sends and keeps nothing.
+        if needs.chain {
+            supervisor.keep("chain", &site.connection, Connection::keep_connected);
+        }
+        return Ok(());
+    }
     supervisor.keep("audit", &site.audit, Audit::keep);
     supervisor.keep("room", &site.storage, Storage::keep_room);
     supervisor.keep("clock", &site.clock, Clock::keep);

@@ -46,6 +46,14 @@ impl Site {
 
     /// The one source of health for status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>> {
+        if let Some(original) = self.home().original() {
+            let text = format!("{} is read-only: this is its last state, and nothing is running", original.display());
+            return Ok(vec![
+                PartHealth::new("home", HealthLevel::Absent, &text),
+                self.chain_health(),
+                self.store_health()?,
+            ]);
+        }
         let mut health = vec![self.ros_health(), self.chain_health(), self.store_health()?];
         health.extend(self.lease_health()?);
         health.extend(self.cache_health());

@@ -343,6 +343,9 @@ impl Profiles {
     /// Brings the owner to the chain's state: fetches missing keys, seals under the current epoch or finishes one that
     /// never reached the chain, and re-wraps what readers lack.
     pub async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<()> {
+        if self.parts.home.original().is_some() {
+            return Ok(());
+        }
         let network = self.parts.link.network().await?;
         // A locked keyring keeps sealing as before.
         if owner.is_locked() || network.directory.identity(owner.address).is_err() {

@@ -283,7 +283,9 @@ impl Joined {
 
     /// Whether the gateway lists records that it does not give; if more is still arriving after this long, a text.
     async fn settled(&self, profile: &ProfileName, most: Duration) -> Result<Result<bool, String>> {
-        let Some(remote) = &self.remote else { return Ok(Ok(false)) };
+        let Some(remote) = self.remote.as_ref().filter(|_| self.parts.home.original().is_none()) else {
+            return Ok(Ok(false));
+        };
         self.parts.link.network().await?;
         remote.settled(profile, most).await.transpose().map(|lacks| lacks.ok_or_else(|| remote.still_arriving()))
     }

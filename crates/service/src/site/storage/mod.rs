@@ -168,6 +168,10 @@ impl Storage {
 
 /// The ledger of a home, if need be with the space set aside for states. The second value: the home is a copy.
 pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
+    if home.original().is_some() {
+        // A read-only home records nothing, so it needs no recorder of its own.
+        return Ok((Ledger::open(&home.ledger())?, false));
+    }
     let missed = misses_store(home);
     let opened = match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
