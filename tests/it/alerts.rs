@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::Value;
-use support::{Authros, Home, Running, free_port, list, skipped, system_program, text, wait_until};
+use support::{Authros, Home, Running, count, free_port, list, skipped, system_program, text, wait_until};
 
 const SECRET: &str = "0123456789abcdef0123456789abcdef";
 
@@ -167,6 +167,11 @@ fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     assert!(gone.fails(4, &["alerts", "test"]).contains("cannot be reached"));
     let open = home.file("open", SECRET, 0o644);
     gone.with_variable("AUTHROS_ALERTS_SECRET", &open).fails(3, &["config", "check"]);
+    let settings = home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o600);
+    let page = home.authros();
+    assert_eq!(text(&page.json(&["alerts", "test"]), "place"), "command /bin/true");
+    home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o622);
+    assert!(page.fails(3, &["alerts", "test"]).contains("chmod go-w"), "{settings}");
 }
 
 #[test]
@@ -212,6 +217,28 @@ fn a_grant_is_an_alert_when_a_tenth_of_it_is_left_and_not_when_it_is_made() {
 /// As figures and alerts name an account.
 fn begins(account: &str) -> String {
     account.trim_start_matches("0x").chars().take(8).collect()
+}
+
+#[test]
+fn a_command_that_never_ends_holds_nothing_up_and_ends_with_its_site() {
+    const SLEEP: &str = "98765.25";
+    let home = Home::new();
+    std::fs::create_dir(home.path()).expect("the home");
+    let command = format!("[alerts]\ncommand = [\"/bin/sleep\", \"{SLEEP}\"]\nevery = 1\ndisk = \"1000000GiB\"\n");
+    home.file("site/config.toml", command, 0o600);
+    let authros = home.authros().with(&["--robots", "1"]);
+    let site = authros.serve(&home);
+    let sleeps = || {
+        let lines = std::fs::read_dir("/proc").expect("Linux").flatten();
+        let is_it = |path: &Path| std::fs::read(path.join("cmdline")).is_ok_and(|line| line.ends_with(b"98765.25\0"));
+        lines.filter(|entry| is_it(&entry.path())).count()
+    };
+    wait_until(60, "the command", || (sleeps() > 0).then_some(()));
+    authros.capture(&["/robot1/odom"], 5);
+    let view = authros.json(&["alerts", "list"]);
+    assert!(count(&view, "waiting") >= 1 && count(&view, "dropped") == 0, "{view}");
+    site.stop("INT", 20).expect_code(0);
+    wait_until(20, "no command outlives the site", || (sleeps() == 0).then_some(()));
 }
 
 fn openssl(folder: &Path, arguments: &str) {

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::crypto::hands::{self, Fault};
 use crate::crypto::private_file;
-use crate::read::{ConfigError, Values, bytes, certificates, choice, number, source_of, span, value, wrong};
+use crate::model::clean;
+use crate::read::{ConfigError, Source, Values, bytes, certificates, choice, number, source_of, span, value, wrong};
 
 /// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
@@ -21,15 +23,17 @@ pub enum AlertForm {
     Alertmanager,
 }
 
-/// A webhook.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AlertPlace {
-    pub url: String,
-    pub form: AlertForm,
-    /// File with the secret that signs deliveries.
-    pub secret: Option<PathBuf>,
-    /// PEM file with the authorities to accept; `None` = those of this machine.
-    pub roots: Option<PathBuf>,
+pub enum AlertPlace {
+    Webhook {
+        url: String,
+        form: AlertForm,
+        /// File with the secret that signs deliveries.
+        secret: Option<PathBuf>,
+        /// PEM file with the authorities to accept; `None` = those of this machine.
+        roots: Option<PathBuf>,
+    },
+    Command(Vec<String>),
 }
 
 /// The thresholds of the alerts; `None` = that rule is off.
@@ -76,7 +80,15 @@ fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
     let forms = [("authros", AlertForm::Authros), ("alertmanager", AlertForm::Alertmanager)];
     let form = choice(values, "alerts.form", forms)?;
     let (secret, roots) = (secret(values)?, certificates(values, "alerts.roots")?);
-    Ok(webhook(values)?.map(|url| AlertPlace { url, form, secret, roots }))
+    match (webhook(values)?, command(values)?) {
+        (Some(_), Some(_)) => {
+            let what = "alerts.webhook is set as well; set only one of them (a program can call the webhook itself)";
+            Err(wrong(values, "alerts.command", what))
+        }
+        (Some(url), None) => Ok(Some(AlertPlace::Webhook { url, form, secret, roots })),
+        (None, Some(words)) => Ok(Some(AlertPlace::Command(words))),
+        (None, None) => Ok(None),
+    }
 }
 
 fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
@@ -107,6 +119,12 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     Ok(Some(path))
 }
 
+fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
+    let Some(text) = value(values, "alerts.command") else { return Ok(None) };
+    let example = r#"["/usr/local/bin/page", "--site", "yard"]"#;
+    command_words(text, example).map(Some).map_err(|what| wrong(values, "alerts.command", &what))
+}
+
 /// A program and its arguments, written as a list of texts; no shell reads them.
 pub fn command_words(text: &str, example: &str) -> Result<Vec<String>, String> {
     let table: Option<toml::Table> = format!("words = {text}").parse().ok();
@@ -118,6 +136,43 @@ pub fn command_words(text: &str, example: &str) -> Result<Vec<String>, String> {
         Some(program) if Path::new(program).is_absolute() => Ok(words),
         _ => Err("give the program's absolute path; no shell looks it up".to_owned()),
     }
+}
+
+/// Nobody else may be able to change the file that names the command, the program itself, or the folders above both.
+pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), ConfigError> {
+    let Some((_, source)) = values.get("alerts.command").filter(|(command, _)| !command.is_empty()) else {
+        return Ok(());
+    };
+    let wrong = |what: String| wrong(values, "alerts.command", &what);
+    if let (Source::File(_), Some(file)) = (source, file) {
+        own_hands(file).map_err(wrong)?;
+    }
+    match command(values)?.and_then(|words| words.first().map(PathBuf::from)) {
+        // A missing one is reported when it runs; its disk may not be there yet.
+        Some(program) if program.exists() => own_hands(&program).map_err(wrong),
+        _ => Ok(()),
+    }
+}
+
+/// Checks that nobody else could run programs as this user through a file.
+fn own_hands(file: &Path) -> Result<(), String> {
+    let fault = hands::fault(file, rustix::process::geteuid().as_raw())
+        .map_err(|error| format!("{} cannot be checked: {error}", shown(file)))?;
+    match fault {
+        None => Ok(()),
+        Some(Fault::Foreign(path)) => Err(format!(
+            "{} belongs to another user, who could run programs as you through it; chown it to yourself",
+            shown(&path)
+        )),
+        Some(Fault::Open(path)) => {
+            let path = shown(&path);
+            Err(format!("others can write to {path} and could run programs as you; run chmod go-w on it"))
+        }
+    }
+}
+
+fn shown(path: &Path) -> String {
+    clean(&path.display().to_string(), 200)
 }
 
 #[cfg(test)]
@@ -163,13 +218,13 @@ mod tests {
             alerts(&format!("[alerts]\nwebhook = \"http://127.0.0.1:9/x\"\nsecret = \"{secret}\""), 0o644)
         };
         let (url, form) = ("http://127.0.0.1:9/x".to_owned(), AlertForm::Authros);
-        let wanted = AlertPlace { url, form, secret: Some(path.clone()), roots: None };
+        let wanted = AlertPlace::Webhook { url, form, secret: Some(path.clone()), roots: None };
         assert_eq!(with("0123456789abcdef\n", 0o600).expect("usable").place, Some(wanted));
         assert!(with("0123456789abcdef\n", 0o640).is_err(), "others read it");
         assert!(with("short\n", 0o600).expect_err("short").contains("16 bytes"));
         let tls = |roots: &str| alerts(&format!("[alerts]\nwebhook = \"https://h/\"\nroots = \"{roots}\""), 0o600);
         let place = tls(&path.display().to_string()).expect("usable").place;
-        assert!(matches!(place, Some(AlertPlace { roots: Some(_), .. })), "{place:?}");
+        assert!(matches!(place, Some(AlertPlace::Webhook { roots: Some(_), .. })), "{place:?}");
         assert!(tls("/nowhere/at/all").is_err() && tls("roots.pem").is_err());
         assert!(alerts("[alerts]\nwebhook = \"http:///x\"", 0o600).is_err());
         assert!(alerts("[alerts]\nsecret = \"/nowhere/at/all\"", 0o600).is_err());
@@ -177,14 +232,44 @@ mod tests {
     }
 
     #[test]
-    fn a_command_is_an_absolute_program_and_its_words() {
-        let words = |text: &str| command_words(text, "an example");
-        assert_eq!(
-            words(r#"["/bin/page", "a b", "$HOME"]"#),
-            Ok(["/bin/page", "a b", "$HOME"].map(str::to_owned).to_vec())
-        );
-        for bad in ["\"/bin/page\"", "[]", "[\"page\"]", "[1]"] {
-            assert!(words(bad).is_err(), "{bad}");
+    fn a_program_that_others_could_replace_is_never_run() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let program = folder.path().join("page");
+        write(&program, "#!/bin/sh\n").expect("written");
+        let words = format!("[\"{}\"]", program.display());
+        let named = |name: &str| (name == "AUTHROS_ALERTS_COMMAND").then(|| words.clone());
+        let read = |mode: u32, above: u32| {
+            set_permissions(&program, Permissions::from_mode(mode)).expect("its mode");
+            set_permissions(folder.path(), Permissions::from_mode(above)).expect("its mode");
+            Config::resolve(&none, &named, None).map(|config| config.alerts.place).map_err(|error| error.to_string())
+        };
+        assert!(matches!(read(0o700, 0o700), Ok(Some(AlertPlace::Command(_)))));
+        for (mode, above) in [(0o722, 0o700), (0o702, 0o700), (0o700, 0o720)] {
+            let error = read(mode, above).expect_err("others write it");
+            assert!(error.contains("chmod go-w"), "{mode:o} {above:o}: {error}");
         }
+    }
+
+    #[test]
+    fn a_command_needs_a_settings_file_that_nobody_else_writes() {
+        let text = "[alerts]\ncommand = [\"/bin/page\", \"a b\", \"$HOME\"]";
+        let wanted = ["/bin/page", "a b", "$HOME"].map(str::to_owned).to_vec();
+        assert_eq!(alerts(text, 0o600).expect("own").place, Some(AlertPlace::Command(wanted)));
+        for mode in [0o620, 0o602, 0o666] {
+            assert!(alerts(text, mode).expect_err("others write it").contains("chmod go-w"), "{mode:o}");
+        }
+        for bad in ["\"/bin/page\"", "[]", "[\"page\"]", "[1]"] {
+            assert!(alerts(&format!("[alerts]\ncommand = {bad}"), 0o600).is_err(), "{bad}");
+        }
+        for (mode, folder) in [(0o777, true), (0o770, true), (0o1777, false)] {
+            let place = tempfile::tempdir().expect("a folder");
+            set_permissions(place.path(), Permissions::from_mode(mode)).expect("its mode");
+            let path = place.path().join("config.toml");
+            write(&path, text).expect("written");
+            let read = Config::resolve(&none, &none, Some((&path, text))).map_err(|error| error.to_string());
+            assert_eq!(read.is_err_and(|error| error.contains("chmod go-w")), folder, "a folder of {mode:o}");
+        }
+        let both = format!("{text}\nwebhook = \"http://h:1/\"");
+        assert!(alerts(&both, 0o600).expect_err("both").contains("only one of them"));
     }
 }

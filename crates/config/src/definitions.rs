@@ -122,13 +122,17 @@ pub const DEFINITIONS: &[Definition] = definitions! {
     "metrics.topics", "AUTHROS_METRICS_TOPICS", "no":
         "yes = also export metrics per topic, by name, for up to 200 topics";
     "alerts.webhook", "AUTHROS_ALERTS_WEBHOOK", "":
-        "where to send alerts: http:// or https://HOST:PORT/PATH; empty = alerts are only shown";
+        "where to send alerts: http:// or https://HOST:PORT/PATH; if this and alerts.command are empty, alerts are \
+         only shown";
     "alerts.form", "AUTHROS_ALERTS_FORM", "authros":
         "format for the webhook: authros (signed JSON) or alertmanager (its API, version 2)";
     "alerts.secret", "AUTHROS_ALERTS_SECRET", "":
         "file (0600) with the secret that signs webhook requests (HMAC-SHA256); empty = unsigned";
     "alerts.roots", "AUTHROS_ALERTS_ROOTS", "":
         "PEM file with the certificate authorities to accept for an https webhook; empty = those of this machine";
+    "alerts.command", "AUTHROS_ALERTS_COMMAND", "":
+        "program to run for each alert instead of a webhook: [\"PROGRAM\", \"ARGUMENT\"], run without a shell, JSON \
+         on its stdin; config.toml, the program and their parent directories must not be writable by others";
     "alerts.every", "AUTHROS_ALERTS_EVERY", "10":
         "seconds between checks, 1 to 3600";
     "alerts.robot_silent", "AUTHROS_ALERTS_ROBOT_SILENT", "10m":

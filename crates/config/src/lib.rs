@@ -173,6 +173,7 @@ impl Config {
         for definition in DEFINITIONS {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
+        alerts::check_hands(&values, file.map(|(path, _)| path))?;
         let operators = OperatorSettings::read(&values, file)?;
         Ok(Self { operators, topic_rules, ..Self::typed(values)? })
     }

@@ -1,5 +1,6 @@
 //! Alerts, judged by the figures: each problem is delivered when it begins and when it ends.
 
+mod command;
 mod rules;
 #[cfg(test)]
 pub(crate) mod troubles;
@@ -69,11 +70,39 @@ impl From<Failure> for Undelivered {
     }
 }
 
+pub enum Carrier {
+    Webhook(Webhook),
+    Command(Vec<String>),
+}
+
+impl Carrier {
+    pub fn of(place: &AlertPlace) -> Result<Self> {
+        Ok(match place {
+            AlertPlace::Webhook { url, form, secret, roots } => {
+                Self::Webhook(Webhook::new(url, *form, secret.as_deref(), roots.as_deref())?)
+            }
+            AlertPlace::Command(words) => Self::Command(words.clone()),
+        })
+    }
+
+    pub async fn carry(self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
+        match self {
+            Self::Webhook(webhook) => webhook.carry(delivery, dropped).await,
+            Self::Command(words) => Ok(command::carry(words, delivery.body(dropped)).await?),
+        }
+    }
+}
+
 /// Omits a URL's passwords and paths.
 pub fn place_name(place: &AlertPlace) -> String {
-    let rest = place.url.split_once("://").map_or(place.url.as_str(), |(_, rest)| rest);
-    let host = rest.split(['/', '?', '#']).next().unwrap_or_default();
-    format!("webhook {}", clean(host.rsplit('@').next().unwrap_or(host), 100))
+    match place {
+        AlertPlace::Webhook { url, .. } => {
+            let rest = url.split_once("://").map_or(url.as_str(), |(_, rest)| rest);
+            let host = rest.split(['/', '?', '#']).next().unwrap_or_default();
+            format!("webhook {}", clean(host.rsplit('@').next().unwrap_or(host), 100))
+        }
+        AlertPlace::Command(words) => format!("command {}", clean(words.first().map_or("", String::as_str), 100)),
+    }
 }
 
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -90,28 +119,27 @@ pub struct Webhook {
 }
 
 impl Webhook {
-    pub fn new(place: &AlertPlace) -> Result<Self> {
-        let AlertPlace { url, form, secret, roots } = place;
+    fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self> {
         let unusable = || input("alerts.webhook is not a server address; use http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
-        if *form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
+        if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
             url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
         }
         // No redirects: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = if url.scheme() == "https" {
-            let tls = authros_tls::tls(roots.as_deref()).map_err(|why| input(format!("{why}; check alerts.roots")))?;
+            let tls = authros_tls::tls(roots).map_err(|why| input(format!("{why}; check alerts.roots")))?;
             client.use_preconfigured_tls(tls)
         } else {
             client.tls_built_in_root_certs(false)
         };
         let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
-        let secret = secret.as_ref().map(|path| private_file::read_private(path, LONGEST_SECRET)).transpose()?;
-        let secret = secret.map(|bytes| Zeroizing::new(bytes.trim_ascii().to_vec()));
-        Ok(Self { client, url, form: *form, secret })
+        let read = |path| private_file::read_private(path, LONGEST_SECRET);
+        let secret = secret.map(read).transpose()?.map(|bytes| Zeroizing::new(bytes.trim_ascii().to_vec()));
+        Ok(Self { client, url, form, secret })
     }
 
-    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
+    async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let body = match self.form {
             AlertForm::Authros => delivery.body(dropped),
             AlertForm::Alertmanager => alertmanager(delivery, dropped),
@@ -380,7 +408,7 @@ mod tests {
     #[test]
     fn a_place_is_named_without_what_is_secret_in_it() {
         let url = "http://me:word@host:8080/hook/T0K3N?key=1".to_owned();
-        let place = AlertPlace { url, form: AlertForm::Authros, secret: None, roots: None };
+        let place = AlertPlace::Webhook { url, form: AlertForm::Authros, secret: None, roots: None };
         assert_eq!(place_name(&place), "webhook host:8080");
     }
 
@@ -401,8 +429,8 @@ mod webhook_tests {
     use super::state_tests::delivery;
     use super::*;
 
-    fn at(url: &str, form: AlertForm) -> AlertPlace {
-        AlertPlace { url: url.to_owned(), form, secret: None, roots: None }
+    fn at(url: &str, form: AlertForm) -> Webhook {
+        Webhook::new(url, form, None, None).expect("usable")
     }
 
     #[test]
@@ -436,7 +464,7 @@ mod webhook_tests {
 
     #[test]
     fn the_address_of_an_alertmanager_is_its_own_or_that_of_its_interface() {
-        let address = |url: &str, form| Webhook::new(&at(url, form)).expect("usable").url.to_string();
+        let address = |url: &str, form| at(url, form).url.to_string();
         for url in ["http://h:9093", "http://h:9093/", "http://h:9093/api/v2/alerts"] {
             assert_eq!(address(url, AlertForm::Alertmanager), "http://h:9093/api/v2/alerts");
         }
@@ -466,8 +494,8 @@ mod webhook_tests {
                 drop(stream.write_all(format!("HTTP/1.1 {lines}\r\nContent-Length: 0\r\n\r\n").as_bytes()));
                 drop(stream.read(&mut [0; 4096]));
             });
-            let webhook = Webhook::new(&at(&format!("http://127.0.0.1:{port}/hook"), AlertForm::Authros));
-            let refused = webhook.expect("usable").carry(&delivery(1), 0).await.expect_err("refused");
+            let webhook = at(&format!("http://127.0.0.1:{port}/hook"), AlertForm::Authros);
+            let refused = webhook.carry(&delivery(1), 0).await.expect_err("refused");
             let text = refused.failure.message;
             assert!(said.iter().all(|part| text.contains(part)) && !text.contains("T0K3N"), "{lines}: {text}");
             server.join().expect("ends");

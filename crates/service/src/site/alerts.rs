@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 
-use crate::alerts::{Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, Webhook, place_name, rule_of};
+use crate::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
 use crate::figures::{Figures, short};
 use crate::model::{Timestamp, locked};
@@ -102,14 +102,14 @@ impl Alerts {
     }
 
     fn place(&self) -> Result<&AlertPlace> {
-        let nobody = "alerts are only shown, not sent; set alerts.webhook";
+        let nobody = "alerts are only shown, not sent; set alerts.webhook or alerts.command";
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
     /// Changes caused by these figures; queues their deliveries.
     fn look(&self, figures: &Figures) -> Vec<Change> {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
-        let forgets = self.settings.place.as_ref().is_some_and(|place| place.form == AlertForm::Alertmanager);
+        let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
         let told = self.settings.place.is_some();
         let (changes, standing) = self.with(|known| {
             let mut judged = known.judge.judge(figures);
@@ -131,7 +131,7 @@ impl Alerts {
     }
 
     fn view(&self) -> AlertsView {
-        let nobody = || "nobody; set alerts.webhook".to_owned();
+        let nobody = || "nobody; set alerts.webhook or alerts.command".to_owned();
         let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
         let (alerts, (waiting, dropped)) = self.with(|known| (known.standing.all(), known.queue.counts()));
         AlertsView { alerts, over: self.shown().1, told, waiting, dropped }
@@ -218,7 +218,7 @@ impl Site {
             return Ok(());
         };
         // Rebuilt each time: a secret may have been replaced.
-        Webhook::new(self.alerts.place()?)?.carry(&delivery, dropped).await?;
+        Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
         blocking(self, move |site| {
             site.alerts.with(|known| known.queue.done(number, dropped));
@@ -244,7 +244,7 @@ impl Site {
         };
         let number = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.next_number()))).await?;
         let delivery = Delivery { number, state: News::Test, alert, ended: None };
-        let carried = Webhook::new(place)?.carry(&delivery, 0).await;
+        let carried = Carrier::of(place)?.carry(&delivery, 0).await;
         let text = carried.map_err(|undelivered| undelivered.failure)?;
         Ok(AlertTestView { place: place_name(place), text })
     }
