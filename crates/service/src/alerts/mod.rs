@@ -6,6 +6,8 @@ mod rules;
 pub(crate) mod troubles;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::fs::File;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -247,11 +249,43 @@ const MOST_WAITING: usize = 200;
 const LONGEST: u64 = 16 << 20;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Kept {
     numbered: u64,
     standing: BTreeMap<String, AlertView>,
     waiting: VecDeque<Delivery>,
     dropped: u64,
+}
+
+impl Kept {
+    fn read(path: &Path) -> io::Result<Self> {
+        let file = match File::open(path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Self::default()),
+            opened => opened?,
+        };
+        let mut bytes = Vec::new();
+        if file.take(LONGEST + 1).read_to_end(&mut bytes)? as u64 > LONGEST {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        Ok(serde_json::from_slice(&bytes)?)
+    }
+}
+
+/// Renames a file that cannot be read, so that the next change does not write over it, and says so.
+fn set_aside(path: &Path, error: &io::Error, now: Timestamp) -> String {
+    let (aside, why) =
+        (path.with_extension(format!("queue.unreadable-{}", now.seconds())), clean(&error.to_string(), 100));
+    let renamed = std::fs::rename(path, &aside);
+    let (path, place) = (path.display(), aside.display());
+    match renamed {
+        Ok(()) => format!(
+            "look into {place} for alerts that waited, and check the disk: {path} could not be read ({why}), so they are \
+             not sent"
+        ),
+        Err(error) => format!(
+            "move {path} away and look into it for alerts that waited: it can be neither read ({why}) nor renamed ({error})"
+        ),
+    }
 }
 
 #[derive(Debug)]
@@ -261,10 +295,17 @@ pub struct Queue {
 }
 
 impl Queue {
-    pub fn open(path: &Path) -> Self {
-        let fits = std::fs::metadata(path).is_ok_and(|about| about.len() <= LONGEST);
-        let bytes = if fits { std::fs::read(path).unwrap_or_default() } else { Vec::new() };
-        Self { path: path.to_owned(), kept: serde_json::from_slice(&bytes).unwrap_or_default() }
+    /// Also a text, if the file could not be read.
+    pub fn open(path: &Path) -> (Self, Option<String>) {
+        let (kept, lost) = match Kept::read(path) {
+            Ok(kept) => (kept, None),
+            Err(error) => {
+                let now = Timestamp::now();
+                // Above all numbers given before: a receiver drops one that it knows.
+                (Kept { numbered: now.seconds(), ..Kept::default() }, Some(set_aside(path, &error, now)))
+            }
+        };
+        (Self { path: path.to_owned(), kept }, lost)
     }
 
     pub fn standing(&self) -> Vec<AlertView> {
@@ -520,23 +561,29 @@ mod queue_tests {
         (folder, path)
     }
 
+    fn opened(path: &Path) -> Queue {
+        let (queue, lost) = Queue::open(path);
+        assert_eq!(lost, None);
+        queue
+    }
+
     #[test]
     fn a_test_takes_a_number_that_no_delivery_gets_again() {
         let (_folder, path) = file();
-        let mut queue = Queue::open(&path);
+        let mut queue = opened(&path);
         assert_eq!((queue.next_number(), queue.next_number()), (1, 2));
-        let mut queue = Queue::open(&path);
+        let mut queue = opened(&path);
         queue.add(Change::Begun(alert("disk")));
         assert_eq!(queue.first().map(|(delivery, _)| delivery.number), Some(3));
     }
 
     #[test]
-    fn each_change_is_in_the_file_at_once_and_a_damaged_file_is_an_empty_one() {
+    fn each_change_is_in_the_file_at_once() {
         let (_folder, path) = file();
-        let mut queue = Queue::open(&path);
+        let mut queue = opened(&path);
         let mut step = |work: &dyn Fn(&mut Queue)| {
             work(&mut queue);
-            assert_eq!(Queue::open(&path).kept, queue.kept);
+            assert_eq!(opened(&path).kept, queue.kept);
         };
         step(&|queue| queue.add(Change::Begun(alert("disk"))));
         step(&|queue| queue.add(Change::Begun(alert("store"))));
@@ -547,22 +594,52 @@ mod queue_tests {
         step(&Queue::remind);
         assert_eq!(std::fs::metadata(&path).expect("it").permissions().mode() & 0o777, 0o600);
         assert_eq!((queue.standing(), queue.counts()), (vec![alert("store")], (1, 0)));
-        let bytes = std::fs::read(&path).expect("the file");
-        for cut in 0..bytes.len() {
-            std::fs::write(&path, &bytes[..cut]).expect("cut");
-            let mut queue = Queue::open(&path);
-            assert_eq!(queue.kept, Kept::default(), "cut at {cut}");
-            if cut % 50 == 0 {
-                queue.add(Change::Begun(alert("clock")));
-                assert_eq!(Queue::open(&path).kept, queue.kept, "cut at {cut}");
-            }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_is_told_of_and_kept_and_no_number_is_given_again() {
+        let (folder, path) = file();
+        opened(&path).add(Change::Begun(alert("disk")));
+        let whole = std::fs::read(&path).expect("the file");
+        let cut = (0..whole.len()).step_by(9).map(|cut| whole[..cut].to_vec());
+        let newer = [&br#"{"newer":1,"#[..], &whole[1..]].concat();
+        let foreign = [b"{}".to_vec(), vec![0xff; 9], [&b"["[..], &whole, b"]"].concat(), newer];
+        for bytes in cut.chain(foreign) {
+            std::fs::write(&path, &bytes).expect("written");
+            let (mut queue, lost) = Queue::open(&path);
+            let lost = lost.expect("it is told");
+            let files = std::fs::read_dir(folder.path()).expect("read").map(|entry| entry.expect("one").path());
+            let files: Vec<PathBuf> = files.collect();
+            assert_eq!(files.len(), 1, "only the one set aside is there: {files:?}");
+            assert!(lost.starts_with(&format!("look into {} for", files[0].display())), "{lost}");
+            assert_eq!(std::fs::read(&files[0]).expect("read"), bytes);
+            queue.add(Change::Begun(alert("clock")));
+            assert!(queue.first().is_some_and(|(first, _)| first.number > 1_700_000_000));
+            assert_eq!(opened(&path).kept, queue.kept);
+            std::fs::remove_file(&files[0]).expect("removed");
         }
+    }
+
+    #[test]
+    fn what_is_no_file_or_too_long_is_set_aside_as_well() {
+        let (_folder, path) = file();
+        std::fs::create_dir(&path).expect("made");
+        assert!(Queue::open(&path).1.is_some() && !path.exists());
+        let (_folder, path) = file();
+        opened(&path).add(Change::Begun(alert("disk")));
+        let mut whole = std::fs::read(&path).expect("the file");
+        whole.resize(usize::try_from(LONGEST).expect("it fits"), b' ');
+        std::fs::write(&path, &whole).expect("written");
+        assert_eq!(opened(&path).standing(), [alert("disk")]);
+        whole.push(b' ');
+        std::fs::write(&path, &whole).expect("written");
+        assert!(Queue::open(&path).1.is_some() && !path.exists());
     }
 
     #[test]
     fn it_is_bounded_and_what_was_given_up_is_told_with_the_next_that_is_taken() {
         let (_folder, path) = file();
-        let mut queue = Queue::open(&path);
+        let mut queue = opened(&path);
         for number in 0..MOST_WAITING + 3 {
             queue.add(Change::Begun(alert(&format!("robot_silent/{number}"))));
         }
@@ -570,7 +647,7 @@ mod queue_tests {
         let (first, dropped) = queue.first().expect("one");
         assert_eq!((first.number, dropped), (1, 3), "the first may be on its way; the oldest behind it went");
         queue.done(first.number, dropped);
-        let again = Queue::open(&path);
+        let again = opened(&path);
         assert_eq!((again.counts(), again.first().map(|(next, _)| next.number)), ((199, 0), Some(5)));
         assert_eq!(again.standing().len(), MOST_WAITING + 3, "what stands is known all the same");
     }
@@ -579,12 +656,12 @@ mod queue_tests {
     fn what_cannot_be_written_is_delivered_all_the_same_and_written_once_it_can_be() {
         let (folder, _) = file();
         let place = folder.path().join("not there yet");
-        let mut queue = Queue::open(&place.join("alerts.queue"));
+        let mut queue = opened(&place.join("alerts.queue"));
         queue.add(Change::Begun(alert("disk")));
         assert!(queue.first().is_some());
         std::fs::create_dir(&place).expect("now it is");
         queue.done(1, 0);
-        assert_eq!(Queue::open(&place.join("alerts.queue")).standing(), [alert("disk")]);
+        assert_eq!(opened(&place.join("alerts.queue")).standing(), [alert("disk")]);
     }
 }
 

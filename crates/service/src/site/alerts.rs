@@ -12,6 +12,7 @@ use tokio::sync::Notify;
 use crate::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
 use crate::figures::{Figures, short};
+use crate::hub::Hub;
 use crate::model::{Timestamp, locked};
 use crate::reply::{
     AlertTestView, AlertView, AlertsView, EndedAlert, Failure, NoticeLevel, Part, Result, Severity, input,
@@ -31,6 +32,7 @@ const MOST_OVER: usize = 20;
 pub(super) struct Alerts {
     settings: AlertSettings,
     path: PathBuf,
+    hub: Arc<Hub>,
     known: Mutex<Option<Known>>,
     /// Result of the last look. A separate lock: readers never wait for a disk.
     shown: Mutex<Shown>,
@@ -70,8 +72,8 @@ struct Known {
 
 impl Alerts {
     pub fn new(parts: &Parts) -> Self {
-        let (settings, path) = (parts.config.alerts.clone(), parts.home.alerts());
-        Self { settings, path, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
+        let (settings, path, hub) = (parts.config.alerts.clone(), parts.home.alerts(), Arc::clone(&parts.hub));
+        Self { settings, path, hub, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
     }
 
     pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
@@ -92,7 +94,10 @@ impl Alerts {
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
         let mut known = locked(&self.known);
         let known = known.get_or_insert_with(|| {
-            let queue = Queue::open(&self.path);
+            let (queue, lost) = Queue::open(&self.path);
+            if let Some(text) = lost {
+                self.hub.warn(&text);
+            }
             let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
             Known { judge, standing, queue, reminded: Instant::now() }
         });
@@ -266,6 +271,7 @@ mod over_http;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reply::Event;
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
@@ -294,6 +300,17 @@ mod tests {
         silent.robots[0].last_seen = before(&silent, 700);
         assert_eq!(site.alerts.look(&silent).len(), 1);
         site.stop().await;
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_queue_that_cannot_be_read_is_told_of() {
+        let ground = super::super::testing::Ground::with(&[]);
+        std::fs::write(ground.home().alerts(), "damaged").expect("written");
+        let (alerts, mut events) = (Alerts::new(&ground.parts), ground.parts.hub.events().subscribe());
+        assert_eq!((alerts.view().waiting, alerts.view().waiting), (0, 0));
+        let Ok(Event::Notice { level, text, .. }) = events.try_recv() else { panic!("it is told") };
+        assert!(level == NoticeLevel::Warning && text.starts_with("look into "), "{text}");
+        assert!(events.try_recv().is_err(), "once");
     }
 
     #[test]
