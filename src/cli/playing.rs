@@ -39,6 +39,9 @@ pub struct PlayArguments {
     /// At the original speed (same as --rate 1)
     #[arg(long)]
     pub as_captured: bool,
+    /// Also publish the capture time as /clock; needs --rate or --as-captured
+    #[arg(long, conflicts_with = "follow")]
+    pub clock: bool,
     /// Prefix for every topic, such as /shared/alice; required in the graph this site captures from
     #[arg(long, value_name = "NAME")]
     pub prefix: Option<String>,
@@ -59,10 +62,10 @@ impl PlayArguments {
         let (owner, topics) = (parse::optional(self.owner.as_deref())?, parse::topics(&self.topics, &self.of_robots)?);
         let times = parse::Times::now(output);
         let (since, until) = (times.since(self.since.as_deref())?, times.until(self.until.as_deref())?);
-        let (pace, master) = (self.pace()?, self.to.clone());
+        let (pace, clock, master) = (self.pace()?, self.clock, self.to.clone());
         let (prefix, remaps) = (parse::optional(self.prefix.as_deref())?, parse::values(&self.remaps)?);
         let domain = domain.filter(|_| self.ros2.is_some() && self.to.is_none());
-        Ok(PlayWishes { owner, topics, since, until, pace, prefix, remaps, master, domain })
+        Ok(PlayWishes { owner, topics, since, until, pace, clock, prefix, remaps, master, domain })
     }
 
     fn pace(&self) -> Result<Pace, Failure> {

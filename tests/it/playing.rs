@@ -292,6 +292,7 @@ fn wishes_that_cannot_be_are_refused_with_words() {
     says(&[], "--prefix");
     says(&["--prefix", "/shared/a", "--remap", "/robot1/odom:=/robot1/odom"], "/shared/a");
     says(&["--rate", "-1"], "rate");
+    says(&["--clock", "--prefix", "/shared/a"], "--as-captured");
     says(&["--remap", "odom"], ":=");
     says(&["--to", "http://127.0.0.1:1", "--prefix", "/shared/a"], "http://127.0.0.1:1");
     says(&["--owner", &two.bob_address, "--prefix", "/shared/a"], "grant");

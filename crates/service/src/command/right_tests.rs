@@ -11,7 +11,7 @@ use crate::wire_tests::REQUESTS;
 const FURTHER: &[&str] = &[
     r#"{"command":"enrol_device","addresses":["h:1"],"fingerprint":null,"name":"scout","topics":[],"all_topics":true,"until":null,"passphrase":"p"}"#,
     r#"{"command":"add_device_address","device":"scout","address":"h:1"}"#,
-    r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","prefix":null,"remaps":[],"master":null}"#,
+    r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
     r#"{"command":"stop_play"}"#,
     r#"{"command":"erase_records","topic":"/odom","robot":"scout","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":true,"shown":7}"#,
     r#"{"command":"of_robot","robot":"list_robots"}"#,

@@ -196,6 +196,8 @@ pub struct PlayWishes {
     pub since: Option<Timestamp>,
     pub until: Option<Timestamp>,
     pub pace: Pace,
+    /// Also publish the captured time as `/clock`.
+    pub clock: bool,
     /// For every name.
     pub prefix: Option<TopicName>,
     /// Replace names; the prefix does not apply to these.

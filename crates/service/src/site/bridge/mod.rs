@@ -74,16 +74,17 @@ impl Bridge {
     }
 
     /// Also returns whether this site captures from there, in which case the names must keep apart.
-    fn domain(&self, domain: u16, names: &Names) -> Result<Box<dyn Target>> {
-        if self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain) {
+    fn domain(&self, domain: u16, names: &Names) -> Result<(Box<dyn Target>, bool)> {
+        let is_captured = self.ros.is_wanted() && self.parts.config.ros_domain == Some(domain);
+        if is_captured {
             names.keep_apart().map_err(|why| refused(format!("ROS 2 domain {domain} is {why}")))?;
         }
         let publisher = block_in_place(|| Ros2Publisher::start(domain, self.parts.config.ros2_program.as_deref()))?;
         self.tell_of_walls(publisher.is_confined());
-        Ok(Box::new(Domain::new(publisher, names.prefix.clone())))
+        Ok((Box::new(Domain::new(publisher, names.prefix.clone())), is_captured))
     }
 
-    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<Box<dyn Target>> {
+    async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<(Box<dyn Target>, bool)> {
         let own = match (self.ros.is_wanted(), &self.parts.config.ros_master) {
             (false, _) => None,
             // The site captures from it again as soon as it is back.
@@ -99,11 +100,13 @@ impl Bridge {
         let graph = Graph::new(&uri, &node)?;
         block_in_place(|| {
             graph.ping()?;
-            if own.is_some_and(|own| graph.is_at(&own)) {
+            let is_captured = own.is_some_and(|own| graph.is_at(&own));
+            if is_captured {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
             let publisher = self.publisher(&uri, &node)?;
-            Ok(Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix.clone())) as Box<dyn Target>)
+            let stage: Box<dyn Target> = Box::new(Stage::new(uri.clone(), graph, publisher, names.prefix.clone()));
+            Ok((stage, is_captured))
         })
     }
 
@@ -133,10 +136,15 @@ fn consistent(wishes: &PlayWishes) -> Result<()> {
             "messages are played into a ROS 1 graph or a ROS 2 domain; leave out one of --to and --ros2",
         ));
     }
-    if wishes.pace == Pace::Follow && (wishes.since.is_some() || wishes.until.is_some()) {
-        return Err(input("--follow plays records verified from now on; omit --since and --until"));
+    match wishes.pace {
+        Pace::Follow if wishes.since.is_some() || wishes.until.is_some() => {
+            Err(input("--follow plays records verified from now on; omit --since and --until"))
+        }
+        Pace::AtOnce | Pace::Follow if wishes.clock => {
+            Err(input("/clock gives the capture time, so it needs --as-captured or --rate"))
+        }
+        Pace::AtOnce | Pace::Follow | Pace::Rated { .. } => Ok(()),
     }
-    Ok(())
 }
 
 fn subject(wishes: &PlayWishes, uri: &str) -> String {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-use super::target::{Form, NO_MESSAGE, Source, Stop, Target, offer};
+use super::target::{Form, NO_MESSAGE, NOBODY, Source, Stop, Target, offer};
 use super::{Feed, Item};
 use super::{Givers, Names, consistent, subject};
 use crate::command::{Pace, PlayWishes};
@@ -23,6 +23,7 @@ use crate::site::Bridge;
 use crate::store::RecordRow;
 
 const LOOK: Duration = Duration::from_millis(200);
+/// As in `rosbag play --clock`.
 const TICK: Duration = Duration::from_millis(10);
 
 /// In addition, each record's right is checked before it is published.
@@ -63,6 +64,7 @@ struct Play<'a> {
     gone: oneshot::Receiver<()>,
     stopped: watch::Receiver<bool>,
     pacer: Pacer,
+    clock: Option<String>,
     definitions: Definitions,
     rights_at: Instant,
     keys: Keys,
@@ -76,7 +78,7 @@ impl Bridge {
         consistent(&wishes)?;
         let network = self.parts.link.network().await?;
         let givers = self.givers(owner, &network, &wishes)?;
-        let target = match wishes.domain {
+        let (target, is_captured) = match wishes.domain {
             Some(domain) => self.domain(domain, &names)?,
             None => self.stage(&wishes, &names).await?,
         };
@@ -93,13 +95,14 @@ impl Bridge {
             gone,
             stopped: self.listed(&owner.profile),
             pacer: Pacer::new(wishes.pace),
+            clock: None,
             definitions: Definitions::default(),
             rights_at: Instant::now(),
             keys: Keys::default(),
             registered_at: Instant::now(),
             tally: Tally::default(),
         };
-        self.parts.log.deed(&owner.profile, "play records", &subject, play.run()).await
+        self.parts.log.deed(&owner.profile, "play records", &subject, play.run(is_captured)).await
     }
 }
 
@@ -109,9 +112,9 @@ fn granted_to(reader: &Owner, network: &Network) -> HashMap<Address, Hash> {
 }
 
 impl Play<'_> {
-    async fn run(mut self) -> Result<PlayedView> {
+    async fn run(mut self, is_captured: bool) -> Result<PlayedView> {
         let begun = Instant::now();
-        let mut ended = self.rounds().await;
+        let mut ended = self.rounds(is_captured).await;
         if let Ok(end) = &mut ended {
             *end = self.farewell(*end).await;
         }
@@ -148,7 +151,8 @@ impl Play<'_> {
         end
     }
 
-    async fn rounds(&mut self) -> Result<PlayEnd> {
+    async fn rounds(&mut self, is_captured: bool) -> Result<PlayEnd> {
+        self.show_clock(is_captured)?;
         let ledger = &self.bridge.parts.plant.ledger;
         let mut feed = block_in_place(|| Feed::begin(ledger, self.wishes, &self.givers))?;
         loop {
@@ -243,6 +247,7 @@ impl Play<'_> {
         let mut crowded_since = None;
         loop {
             self.end()?;
+            self.tell_time();
             let left = due.map_or(Duration::ZERO, |due| self.pacer.wait(due, Instant::now()));
             let mut crowded = self.target.is_crowded();
             if crowded && crowded_since.get_or_insert_with(Instant::now).elapsed() >= CROWD {
@@ -252,7 +257,8 @@ impl Play<'_> {
             if left.is_zero() && !crowded {
                 return Ok(());
             }
-            tokio::time::sleep(if crowded { TICK } else { left.min(NAP) }).await;
+            let nap = if self.clock.is_some() { TICK } else { NAP };
+            tokio::time::sleep(if crowded { TICK } else { left.min(nap) }).await;
         }
     }
 
@@ -315,6 +321,26 @@ impl Play<'_> {
         }
     }
 
+    fn show_clock(&mut self, is_captured: bool) -> Result<()> {
+        if !self.wishes.clock {
+            return Ok(());
+        }
+        // Nodes read the time under this one name; a captured graph would record it.
+        let prefixed = if is_captured { self.names.played("/clock") } else { None };
+        let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
+        let (form, _) = self.target.clock(&topic, Timestamp::default());
+        self.target.show(&form, NOBODY, 0).map_err(Stop::into_failure)?;
+        self.clock = Some(topic);
+        Ok(())
+    }
+
+    fn tell_time(&mut self) {
+        if let (Some(topic), Some(now)) = (&self.clock, self.pacer.clock(Instant::now())) {
+            let (form, message) = self.target.clock(topic, now);
+            self.target.publish(&form, NOBODY, &message);
+        }
+    }
+
     async fn described(&mut self, item: &Item, record: &OpenedRecord) -> Result<(Form, Source), Stop> {
         if record.verdict != Verdict::Verified {
             return Err(Stop::Refused("not verified yet".to_owned()));
@@ -327,6 +353,9 @@ impl Play<'_> {
             let topic = clean(&record.head.topic, 255);
             return Err(Stop::Refused(format!("{topic} is not a valid graph name with this prefix")));
         };
+        if self.clock.as_ref() == Some(&topic) {
+            return Err(Stop::Refused(format!("--clock publishes the time as {topic} instead")));
+        }
         let form = match encoding {
             Encoding::Ros1 => self.of_one(item, record, topic).await?,
             Encoding::Cdr { .. } => of_two(record, topic).map_err(Stop::Refused)?,
@@ -386,6 +415,12 @@ impl Pacer {
         let after = u128::from(at.0.saturating_sub(first.0)) * 1000 / u128::from(thousandths);
         let after = Duration::from_nanos(u64::try_from(after).unwrap_or(u64::MAX));
         after.saturating_sub(now.saturating_duration_since(begun))
+    }
+
+    pub fn clock(&self, now: Instant) -> Option<Timestamp> {
+        let (first, begun) = self.begun?;
+        let since = now.saturating_duration_since(begun).as_nanos() * u128::from(self.thousandths?) / 1000;
+        Some(Timestamp(first.0.saturating_add(u64::try_from(since).unwrap_or(u64::MAX))))
     }
 }
 
@@ -528,9 +563,11 @@ mod tests {
         assert_eq!(double.wait(Timestamp(110 * SECOND), now), Duration::from_secs(5));
         assert_eq!(double.wait(Timestamp(110 * SECOND), now + Duration::from_secs(4)), Duration::from_secs(1));
         assert_eq!(double.wait(Timestamp(90 * SECOND), now), Duration::ZERO, "never back");
+        assert_eq!(double.clock(now + Duration::from_secs(4)), Some(Timestamp(108 * SECOND)));
         let mut at_once = Pacer::new(Pace::AtOnce);
         assert_eq!(at_once.wait(Timestamp(100 * SECOND), now), Duration::ZERO);
         assert_eq!(at_once.wait(Timestamp(900 * SECOND), now), Duration::ZERO);
+        assert_eq!(at_once.clock(now), None);
     }
 }
 

@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use tokio::task::block_in_place;
 
 use super::{NODE, is_under};
-use crate::model::{Address, clean};
+use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::importer;
-use crate::reply::{Failure, PlayEnd, Result};
+use crate::reply::{Failure, PlayEnd, Result, internal, refused};
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{Delivery, Offer, Offered, QUALITY, Ros2Publisher};
-use crate::ros::{Advertised, Graph, GraphPublisher, RosError};
+use crate::ros::{Advertised, Graph, GraphPublisher, RosError, md5sum};
 
 /// How long playing waits for known subscribers, in total.
 const WELCOME: Duration = Duration::from_secs(5);
@@ -41,12 +41,25 @@ const OTHER_ROS: &str = "it is of another ROS";
 /// The owner of a message, and which of her publishers sent it.
 pub(super) type Source = (Address, u64);
 
+/// For messages that are no records.
+pub(super) const NOBODY: Source = (Address([0; 20]), 0);
+
 pub(super) enum Stop {
     Refused(String),
     Missing,
     Later,
     Ended(PlayEnd),
     Failed(Failure),
+}
+
+impl Stop {
+    pub fn into_failure(self) -> Failure {
+        match self {
+            Self::Refused(why) => refused(why),
+            Self::Failed(failure) => failure,
+            Self::Missing | Self::Later | Self::Ended(_) => internal("it is not published now; play again"),
+        }
+    }
 }
 
 impl From<Failure> for Stop {
@@ -64,6 +77,8 @@ pub(super) trait Target: Send + Sync {
     fn show(&mut self, form: &Form, source: Source, size: usize) -> Result<(), Stop>;
 
     fn publish(&mut self, form: &Form, source: Source, body: &[u8]) -> bool;
+
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>);
 
     fn is_crowded(&self) -> bool;
 
@@ -125,6 +140,25 @@ impl Topics {
     fn publish(&mut self, topic: &str, (type_name, md5sum): (&str, &str)) {
         self.types.insert(topic.to_owned(), (type_name.to_owned(), md5sum.to_owned()));
     }
+}
+
+const ROS1_CLOCK: &str = "rosgraph_msgs/Clock";
+const DEFINITION: &str = "# The time of the capture, as this is played\ntime clock\n";
+
+fn clock_topic(topic: String) -> Advertised {
+    Advertised {
+        topic,
+        type_name: ROS1_CLOCK.to_owned(),
+        md5sum: md5sum(ROS1_CLOCK, DEFINITION).unwrap_or_default(),
+        definition: DEFINITION.to_owned(),
+        latching: false,
+    }
+}
+
+fn clock_message(at: Timestamp) -> Vec<u8> {
+    let (seconds, rest) = (at.0 / 1_000_000_000, at.0 % 1_000_000_000);
+    let half = |number: u64| u32::try_from(number).unwrap_or(u32::MAX).to_le_bytes();
+    [half(seconds), half(rest)].concat()
 }
 
 const CAPTURING: &str = "/authros_";
@@ -197,6 +231,10 @@ impl Target for Stage {
         self.publisher.publish(&about.topic, source, body)
     }
 
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>) {
+        (Form::One(clock_topic(topic.to_owned())), clock_message(now))
+    }
+
     fn is_crowded(&self) -> bool {
         self.publisher.is_crowded()
     }
@@ -250,6 +288,12 @@ impl Target for Stage {
 
 const MOST_LATCHED: usize = 64;
 
+/// As `ros2 bag play --clock` offers it.
+const ROS2_CLOCK: &str = "rosgraph_msgs/msg/Clock";
+const CLOCK_OFFER: Offer = Offer { reliable: false, latched: false, depth: 1 };
+const LITTLE: u16 = 1;
+
+/// A latched topic keeps the last messages of each source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Way {
     topic: String,
@@ -338,6 +382,12 @@ impl Target for Domain {
         block_in_place(|| self.publisher.publish(writer, message))
     }
 
+    fn clock(&self, topic: &str, now: Timestamp) -> (Form, Vec<u8>) {
+        let (name, type_name) = (topic.to_owned(), ROS2_CLOCK.to_owned());
+        let message = [LITTLE.to_be_bytes().as_slice(), &[0, 0], &clock_message(now)].concat();
+        (Form::Two(Offered { name, type_name, encoding: LITTLE, offer: CLOCK_OFFER }), message)
+    }
+
     fn is_crowded(&self) -> bool {
         self.publisher.is_crowded()
     }
@@ -409,6 +459,13 @@ fn first<'a>(profiles: &'a str, name: &str) -> Option<&'a str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_clock_is_ros_s_own() {
+        // As `rosmsg md5 rosgraph_msgs/Clock` prints it.
+        assert_eq!(clock_topic("/clock".into()).md5sum, "a9c97c1d230cfc112e270351a944ee47");
+        assert_eq!(clock_message(Timestamp(3_000_000_007)), [3, 0, 0, 0, 7, 0, 0, 0]);
+    }
 
     fn of(profiles: &str, latching: bool) -> Offer {
         let mut tags = BTreeMap::from([("mcap.channel.offered_qos_profiles".to_owned(), profiles.to_owned())]);
