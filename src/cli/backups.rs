@@ -18,7 +18,7 @@ use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, UnlockedKeyring};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::paths::Home;
-use crate::service::failure::{input, refused};
+use crate::service::reply::{input, refused};
 use crate::service::{Client, Failure, SecretText, command::BackUp, restoring};
 
 /// Prefix and suffix of backup files; the time is in between.

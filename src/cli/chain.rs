@@ -18,11 +18,8 @@ use crate::chain::{Genesis, GenesisKind, network_guide};
 use crate::model::{Address, ErrorKind};
 use crate::pipeline::sender::LaneState;
 use crate::service::command::{self, Administration};
-use crate::service::{
-    Client, Failure, Needs,
-    failure::input,
-    reply::{self, ServedView},
-};
+use crate::service::reply::{self, ServedView, input};
+use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, pairs};
 
 /// `chain …`

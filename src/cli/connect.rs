@@ -10,7 +10,7 @@ use crate::config::{Config, Source};
 use crate::model::{ErrorKind, OperatorName, ProfileName};
 use crate::paths::{Home, PlaceError};
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
-use crate::service::failure::{input, refused};
+use crate::service::reply::{input, refused};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Failure, Needs, Site, accounts::Account, looking};
 use crate::store::{SiteLock, files};

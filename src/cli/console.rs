@@ -10,7 +10,7 @@ use super::connect::{Connection, Context};
 use super::{backups::Successor, demo, parse::usage, passphrase, printed};
 use crate::model::{ContactName, ProfileName, Timestamp};
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText, Unlock};
-use crate::service::{Call, Client, Event, Failure, Needs, Site, client::site_gone, event::NoticeLevel};
+use crate::service::{Call, Client, Event, Failure, Needs, NoticeLevel, Site, client::site_gone};
 use crate::term::{self, ExitReason};
 use crate::{app::tour::Cast, crypto::Passphrase};
 

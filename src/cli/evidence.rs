@@ -13,7 +13,7 @@ use crate::ros::Limits;
 use crate::ros::recording::{BESIDE, Beside};
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
-use crate::service::{Client, Failure, definition_of, failure::input};
+use crate::service::{Client, Failure, definition_of, reply::input};
 use authros_evidence::recorded::{RecordedFile, TAG};
 use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};

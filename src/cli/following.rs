@@ -11,7 +11,7 @@ use super::{plan::CHAIN, printed, serve, serve::until_done};
 use crate::model::{ErrorKind, counted};
 use crate::service::command::{FollowFolder, FollowWishes, StopCapture};
 use crate::service::reply::{FollowView, FollowedFile};
-use crate::service::{Client, Event, Failure, event::NoticeLevel};
+use crate::service::{Client, Event, Failure, NoticeLevel};
 use authros_output::{Output, table};
 
 /// Interval of progress lines: a recording may last for days.

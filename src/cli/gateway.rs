@@ -17,7 +17,7 @@ use crate::service::command::{Admit, Dismiss, GatewayStatus, ListAdmitted, MakeJ
 use crate::service::reply::{
     AdmittedView, GatewayStatusView, GatewayView, JoinStanding, JoinedView, LeaseView, WorkerView,
 };
-use crate::service::{Client, Failure, Needs, SecretText, joining};
+use crate::service::{Client, Failure, Needs, SecretText, restoring};
 use authros_output::{Output, table};
 
 /// `gateway …`
@@ -156,11 +156,11 @@ async fn join_file(context: &Context, out: &Path, renew: bool, random: bool, out
 
 fn join(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let secret = passphrase::of_its_own(&context.global, JOIN_FILE, false)?;
-    let opened = joining::open(file, &secret)?;
+    let opened = restoring::open(file, &secret)?;
     // A worker has settings of its own.
     let own = context.home.config().exists().then(|| context.config.clone());
     let config = own.map_or_else(|| context.beginning_with(&opened.settings), Ok)?;
-    let view = joining::join(&opened, &context.home, &config)?;
+    let view = restoring::join(&opened, &context.home, &config)?;
     output.result(&view, || joined(&view, context.home.root()));
     Ok(0)
 }

@@ -10,7 +10,7 @@ use super::args::ListArguments;
 use crate::model::{Clock, ErrorKind, SignerId, Timestamp, TopicPattern, bytes::unhex, clean, positive_span};
 use crate::service::command::Term;
 pub use crate::service::command::filter::tag;
-use crate::service::{Failure, UploadQuery, failure::input};
+use crate::service::{Failure, UploadQuery, reply::input};
 use authros_output::Output;
 
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {

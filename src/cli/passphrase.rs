@@ -11,7 +11,7 @@ use super::{args::Global, connect::Context, parse::usage, plan::Plan};
 use crate::crypto::{Passphrase, UnlockedKeyring, private_file};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
-use crate::service::failure::{input, refused};
+use crate::service::reply::{input, refused};
 use crate::service::{Failure, SecretText, command::ChangePassphrase};
 use crate::store::{atomic_write, files};
 use authros_output::Output;

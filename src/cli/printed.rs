@@ -11,7 +11,7 @@ use super::connect::{Context, environment};
 use super::{complete, passphrase, twins::TWINS};
 use crate::app::{Keymap, Settings, keymap};
 use crate::model::{ErrorKind, Timestamp, clean};
-use crate::service::{Client, Failure, command::RecordingProgress, failure::input};
+use crate::service::{Client, Failure, command::RecordingProgress, reply::input};
 use crate::ui::{Themes, theme};
 use crate::{app::history::Progress, config::DEFINITIONS, config::Definition, paths::Home, term::ConsoleOptions};
 

@@ -9,7 +9,7 @@ use super::connect::{Context, ProfileNeed};
 use super::{parse, plan::CHAIN};
 use crate::model::{ByteSize, Digest, ErrorKind, clean, counted};
 use crate::service::command::{EraseRecords, ErasureWishes};
-use crate::service::{Client, Failure, failure::input, reply::ErasureView};
+use crate::service::{Client, Failure, reply::ErasureView, reply::input};
 use crate::{crypto::Sm3Hasher, ros::recording::content_of};
 use authros_output::Output;
 

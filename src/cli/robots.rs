@@ -18,7 +18,7 @@ use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{LONGEST_POLICY, ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{PublicKey, SignerId, Timestamp, bytes::unhex, clean, counted};
 use crate::service::reply::{DeviceRow, RingPullView, RobotRow, RobotTopicRow, RobotView, coverage_legend};
-use crate::service::{Failure, command, failure::input};
+use crate::service::{Failure, command, reply::input};
 
 /// `robot …`
 #[derive(Debug, Subcommand)]

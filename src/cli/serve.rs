@@ -21,7 +21,7 @@ use tokio::{sync::broadcast, task::JoinHandle};
 use super::connect::{Connection, Context, ProfileNeed};
 use super::passphrase;
 use crate::service::command::{Ask, ChainStatus, Register, SiteStatus};
-use crate::service::{Client, Event, Failure, Needs, Site, event::NoticeLevel, failure::internal, is_bound};
+use crate::service::{Client, Event, Failure, Needs, NoticeLevel, Site, is_bound, reply::internal};
 use crate::{model::ErrorKind, store::files, term::signals::Handled};
 
 /// `serve …`

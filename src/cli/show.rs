@@ -7,7 +7,7 @@ use super::{
     robots, rules, status, topics,
 };
 use crate::service::command::{Ask, Command, SecretBytes};
-use crate::service::{Client, Failure, failure::input, reply};
+use crate::service::{Client, Failure, reply, reply::input};
 use crate::{crypto::private_file, model::Clock, model::ErrorKind};
 use authros_output::Output;
 
@@ -85,7 +85,6 @@ macro_rules! rows {
 
 documents! {
     reply::IdentityView => identity::one;
-    reply::KeyChangeView => |view| view.lines.join("\n");
     reply::GrantForesight => grants::foreseen;
     reply::KeysView => keys::list;
     reply::RecordPage => records::page;
@@ -197,7 +196,7 @@ impl Printed for SecretBytes {
 
 impl Printed for reply::PolicyView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        rules::show(&self, output);
+        output.result(&self, || rules::text(&self));
         Ok(0)
     }
 }

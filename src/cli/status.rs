@@ -12,7 +12,7 @@ use super::connect::Context;
 use super::plan::{NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp, counted};
 use crate::service::command::{ListAlerts, SiteStatus, TestAlert};
-use crate::service::{Failure, doctor, failure::input, reply};
+use crate::service::{Failure, doctor, reply, reply::input};
 
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;

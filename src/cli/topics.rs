@@ -8,10 +8,9 @@ use super::connect::ProfileNeed;
 use super::coverage::{self, CoverageArguments};
 use super::plan::{NEITHER, Plan, ROS};
 use super::quarantine::{self, PinArguments};
-use super::rules::{self, RulesArguments};
 use super::{parse, show::or_dash};
 use crate::model::{Sampling, TopicPattern};
-use crate::service::{Failure, command, failure::input, reply};
+use crate::service::{Failure, command, reply, reply::input};
 use authros_output::{Output, table};
 
 /// `topics …`
@@ -51,8 +50,8 @@ pub enum TopicsVerb {
     },
     /// Show over time where topics have records, losses or quarantined messages
     Coverage(CoverageArguments),
-    /// Show the rule for each topic; --learn drafts rules from the live graph
-    Rules(RulesArguments),
+    /// Show the rule for each topic
+    Rules,
     /// Unpin a publisher of a topic
     Unpin {
         /// Topic, or a pattern for several
@@ -98,7 +97,7 @@ pub fn plan(verb: TopicsVerb, output: &Output) -> Result<Plan, Failure> {
             Plan::kept(command::ListPins { topic: parse::topic(topic.as_deref(), robot.as_deref())? })
         }
         TopicsVerb::Coverage(coverage) => Plan::kept(coverage::question(&coverage, output)?),
-        TopicsVerb::Rules(arguments) => Plan::new(ROS, ProfileNeed::None, rules::question(&arguments)?),
+        TopicsVerb::Rules => Plan::new(ROS, ProfileNeed::None, command::ShowPolicy),
         TopicsVerb::Unpin { topic, caller_id } => {
             Plan::kept(command::UnpinTopic { topic: parse::value(&topic)?, caller_id })
         }

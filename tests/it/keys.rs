@@ -99,11 +99,9 @@ fn a_saved_keyring_is_never_written_over_and_a_key_that_is_not_there_is_named() 
 
     let missing = home.root().join("mistyped.pem");
     let missing = missing.to_str().expect("UTF-8");
-    for arguments in [&["keys", "load", "--sm2", missing, "--dry-run"][..], &["keys", "load", "--sm2", missing]] {
-        let told = authros.fails(3, arguments);
-        assert!(told.contains(missing), "{arguments:?}: {told}");
-    }
-    let told = authros.run(&["keys", "load", "--dry-run"]).expect_code(2);
+    let told = authros.fails(3, &["keys", "load", "--sm2", missing]);
+    assert!(told.contains(missing), "{told}");
+    let told = authros.run(&["keys", "load"]).expect_code(2);
     assert!(told.stderr.contains("--sm2"), "{told}");
 }
 
@@ -161,7 +159,7 @@ fn signing_keys_of_openssl_are_loaded_in_each_of_its_forms() {
 }
 
 #[test]
-fn a_dry_run_reads_the_key_before_it_says_who_is_affected() {
+fn a_file_that_is_no_signing_key_is_refused_by_what_it_is() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");
     }
@@ -170,15 +168,15 @@ fn a_dry_run_reads_the_key_before_it_says_who_is_affected() {
     authros.json(&["identity", "create"]);
     let p256 = home.file("p256.pem", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256", "-out", &p256]);
-    let told = authros.fails(3, &["keys", "load", "--sm2", &p256, "--dry-run"]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &p256]);
     assert!(told.contains("another curve"), "{told}");
     let der = home.file("key.der", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "SM2", "-outform", "DER", "-out", &der]);
-    let told = authros.fails(3, &["keys", "load", "--sm2", &der, "--dry-run"]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &der]);
     assert!(told.contains("it is binary"), "{told}");
     let sm2 = home.file("sm2.pem", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &sm2]);
-    authros.run(&["keys", "load", "--sm2", &sm2, "--dry-run"]).expect_code(0);
+    authros.run(&["keys", "load", "--sm2", &sm2]).expect_code(0);
 }
 
 #[test]

@@ -189,8 +189,7 @@ fn an_open_address_is_refused_unless_it_is_asked_for_and_a_taken_one_is_told() {
 fn the_rules_are_ones_that_prometheus_takes_and_every_figure_they_name_is_there() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/monitoring");
     let rules = folder.join("alerts.yml");
-    let source =
-        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/service/src/figures/exposition.rs"));
+    let source = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/service/src/figures/mod.rs"));
     let source = source.expect("the source of the figures");
     let dashboard = fs::read_to_string(folder.join("dashboard.json")).expect("a dashboard");
     let parsed: serde_json::Value = serde_json::from_str(&dashboard).expect("JSON");

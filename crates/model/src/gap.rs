@@ -20,6 +20,8 @@ pub enum LossReason {
     Fault,
 }
 
+crate::words!(LossReason);
+
 impl LossReason {
     pub const ALL: [Self; 6] = [Self::Transport, Self::Memory, Self::Disk, Self::Key, Self::End, Self::Fault];
 
@@ -29,10 +31,6 @@ impl LossReason {
 
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.code() == code)
-    }
-
-    pub fn word(self) -> &'static str {
-        self.into()
     }
 
     pub fn from_word(word: &str) -> Option<Self> {

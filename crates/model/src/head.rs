@@ -22,14 +22,11 @@ pub enum Compression {
     Matrix,
 }
 
+crate::words!(Compression);
+
 impl Compression {
     fn code(self) -> u8 {
         self as u8
-    }
-
-    /// Its name for people.
-    pub fn word(self) -> &'static str {
-        self.into()
     }
 }
 

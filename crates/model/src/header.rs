@@ -52,6 +52,8 @@ pub enum RecordKind {
     Attachment,
 }
 
+crate::words!(RecordKind);
+
 impl RecordKind {
     /// The byte in the header.
     pub fn code(self) -> u8 {
@@ -66,11 +68,6 @@ impl RecordKind {
     /// Whether it holds what its owner recorded or imported, rather than what a site says about that.
     pub fn is_content(self) -> bool {
         matches!(self, Self::Data | Self::Attachment)
-    }
-
-    /// One word for screens and JSON.
-    pub fn word(self) -> &'static str {
-        self.into()
     }
 }
 

@@ -25,7 +25,8 @@ pub mod watch_rules;
 pub mod wire;
 
 pub use crate::bytes::{
-    Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
+    Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId, hex,
+    unhex,
 };
 pub use crate::consensus::{AnchorMode, AuditHead, Consensus};
 pub use crate::display::{
@@ -53,3 +54,8 @@ pub use crate::state::{ErrorKind, Fact, RecordState, Verdict};
 pub use crate::topic::{TopicName, TypeName, is_record_topic};
 pub use crate::topic_rule::{Sampling, TopicPattern, TopicRule, TopicRules};
 pub use crate::watch_rules::{WatchRule, WatchRules};
+
+/// The guard, also after a panic of a holder: what it guards is whole between any two statements.
+pub fn locked<T>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}

@@ -234,11 +234,7 @@ pub enum OperatorRight {
     Grant,
 }
 
-impl OperatorRight {
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
-}
+crate::words!(OperatorRight);
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OperatorRights(BTreeSet<OperatorRight>);

@@ -159,13 +159,10 @@ pub enum Doubt {
     Unconfirmed,
 }
 
+crate::words!(Doubt);
+
 impl Doubt {
     pub const ALL: [Self; 6] = [Self::New, Self::Host, Self::Type, Self::Replaced, Self::Undecided, Self::Unconfirmed];
-
-    /// One word: tag in sealed heads, ledger and JSON.
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
 
     pub fn text(self) -> &'static str {
         match self {

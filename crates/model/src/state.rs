@@ -37,10 +37,6 @@ impl RecordState {
     /// In the order of a record's life.
     pub const ALL: &[Self] = <Self as VariantArray>::VARIANTS;
 
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
-
     pub fn code(self) -> u8 {
         self as u8
     }
@@ -102,11 +98,7 @@ pub enum Verdict {
     NoKey,
 }
 
-impl Verdict {
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
-}
+crate::words!(RecordState, Verdict);
 
 /// Determines the exit code of the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -62,3 +62,16 @@ macro_rules! as_text {
 }
 
 pub(crate) use {as_text, names};
+
+/// Gives each type `word()`: what `strum::IntoStaticStr` calls a value in texts and formats.
+#[macro_export]
+macro_rules! words {
+    ($($name:ty),+) => {$(
+        impl $name {
+            /// What texts and formats call it.
+            pub fn word(self) -> &'static str {
+                self.into()
+            }
+        }
+    )+};
+}

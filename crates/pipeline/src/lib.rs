@@ -52,14 +52,20 @@ use crate::model::{Digest, Domain};
 use crate::store::{Ciphertext, Glance, Ledger, NewRecord, RecordRow, Rights, StoreError};
 
 pub use chain_proofs::BlockTimes;
-pub use directory::Directory;
+pub use columns::Shown;
+pub use directory::{Directory, GrantState, Granted};
+pub use epoch::tag_choice;
 pub use error::{PipelineError, Result};
 pub use forwarder::Forwarder;
+pub use importer::Importer;
+pub use intake::Anchors;
 pub use losses::Losses;
 pub use owner::{Author, Owner};
 pub use pins::{PinRules, Pins};
-pub use recorder::Recorder;
-pub use sender::{Outgoing, Sender};
+pub use reader::{Definitions, Opening, Reader, is_held};
+pub use recorder::{CapturedMessage, Recorder};
+pub use ring::Rings;
+pub use sender::{LaneState, Outgoing, Sender};
 pub use session::CaptureSession;
 
 /// What workers report to the service. Implementations return quickly and never block.

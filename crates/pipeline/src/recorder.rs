@@ -460,7 +460,6 @@ struct Track {
     buckets: [Bucket; 8],
     first_second: u64,
     messages: u64,
-    largest: u64,
     last: Option<Timestamp>,
 }
 
@@ -484,13 +483,7 @@ impl Meter {
         slot.messages += 1;
         slot.bytes += bytes as u64;
         track.messages += 1;
-        track.largest = track.largest.max(bytes as u64);
         track.last = Some(at);
-    }
-
-    /// Bytes; `None` if the topic was never seen.
-    pub fn largest(&self, topic: &str) -> Option<u64> {
-        self.tracks.lock().unwrap_or_else(PoisonError::into_inner).get(topic).map(|track| track.largest)
     }
 
     /// The rate of `topic` over the whole seconds before `now`; `None` if it was never seen.

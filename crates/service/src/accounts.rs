@@ -5,10 +5,9 @@ use std::ffi::CString;
 use nix::errno::Errno;
 use nix::unistd::{Gid, Group, Uid, User, getgrouplist};
 
-use super::failure::refused;
-use super::reply::Failure;
 use crate::config::{OperatorRule, Whom};
 use crate::model::{OperatorName, OperatorRights};
+use crate::reply::{Failure, refused};
 
 /// Number that the kernel shows for users of another user namespace.
 const OVERFLOW: &str = "/proc/sys/kernel/overflowuid";

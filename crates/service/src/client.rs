@@ -2,10 +2,9 @@
 
 use tokio::sync::{broadcast, mpsc, oneshot};
 
-use super::command::{Ask, Command, Request};
-use super::event::Event;
-use super::reply::{Failure, Reply, Result};
+use crate::command::{Ask, Command, Request};
 use crate::model::{ErrorKind, ProfileName};
+use crate::reply::{Event, Failure, Reply, Result};
 
 #[derive(Debug)]
 pub struct Call {

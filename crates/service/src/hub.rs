@@ -2,17 +2,17 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, broadcast, watch};
 
-use super::event::{Event, NoticeLevel, Part};
-use crate::model::{Digest, Timestamp, clean};
+use crate::model::{Digest, Timestamp, clean, locked};
 use crate::pipeline::Observer;
 use crate::pipeline::session::Sessions;
 use crate::pipeline::stages::Stages;
 use crate::pipeline::watcher::foreign;
+use crate::reply::{Event, NoticeLevel, Part};
 use crate::store::notes::ForeignAnchors;
 
 const PACE: Duration = Duration::from_millis(250);
@@ -94,7 +94,7 @@ impl Hub {
     pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
         if level == NoticeLevel::Info {
             // What begins again is news.
-            let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut told = locked(&self.told);
             told.retain(|_, (_, other)| other.as_deref() != Some(about));
         }
         self.tell_once(level, text, Some(about.to_owned()));
@@ -102,7 +102,7 @@ impl Hub {
 
     fn tell_once(&self, level: NoticeLevel, text: &str, about: Option<String>) {
         let text = clean(text, LONGEST);
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut told = locked(&self.told);
         if told.get(&text).is_some_and(|(at, _)| at.elapsed() < REPEAT) {
             return;
         }

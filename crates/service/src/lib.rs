@@ -1,6 +1,5 @@
 //! Command in, Event out. Console and command line talk only through [`Client`]; nothing here draws or prints.
 
-use crate as service;
 use authros_chain as chain;
 use authros_config as config;
 use authros_config::paths;
@@ -18,11 +17,8 @@ pub mod command;
 pub mod completing;
 pub mod doctor;
 mod durability;
-pub mod event;
-pub mod failure;
 mod figures;
 pub mod hub;
-pub mod joining;
 pub mod looking;
 pub mod reply;
 pub mod restoring;
@@ -34,8 +30,7 @@ mod wire_tests;
 
 pub use client::{Call, Client};
 pub use command::{Ask, Command, GrantFrom, KeyKind, Request, SecretBytes, SecretText, UploadQuery};
-pub use event::{Event, NoticeLevel, Part};
-pub use reply::{Failure, Reply};
+pub use reply::{Event, Failure, NoticeLevel, Part, Reply};
 pub use site::{
     Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Needs, Site, definition_of, is_bound, record_page,
 };

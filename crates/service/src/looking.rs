@@ -5,9 +5,9 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
-use super::reply::{Failure, Result};
 use crate::model::{ByteSize, ErrorKind};
 use crate::paths::Home;
+use crate::reply::{Failure, Result};
 use crate::store::files::free_bytes;
 
 /// Larger files are linked, not copied.

@@ -2,14 +2,14 @@
 
 mod chain;
 mod identity;
-mod records;
-mod site;
 mod topics;
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
 
 pub use self::chain::*;
 pub use self::identity::*;
-pub use self::records::*;
-pub use self::site::*;
 pub use self::topics::*;
 pub use crate::ros::graph::Unreached as UnreachedView;
 pub use crate::ros::recording::Unusable as LeftOut;
@@ -17,13 +17,16 @@ pub use crate::store::{
     AlarmRow as AlarmView, CoveragePart, IncidentNote as IncidentNoteView, SpanCoverage as SpanCoverageView,
 };
 
-use std::time::Duration;
-
-use serde::{Deserialize, Serialize};
-
+use crate::chain::ChainError;
 use crate::command::SecretBytes;
-use crate::model::{Address, ErrorKind, IncidentName, ProfileName, SignerId, Timestamp, coarse};
+use crate::config::ConfigError;
+use crate::crypto::CryptoError;
+use crate::gateway::GatewayError;
+use crate::model::{Address, ErrorKind, IncidentName, ProfileName, SignerId, Timestamp, clean, coarse};
+use crate::pipeline::PipelineError;
+use crate::ros::RosError;
 use crate::ros::readable::Plot;
+use crate::store::StoreError;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{message}")]
@@ -43,6 +46,49 @@ impl Failure {
     pub fn of_another_version() -> Self {
         Self::new(ErrorKind::Internal, "the site's answer does not match the request; it may be another version")
     }
+}
+
+macro_rules! failure_from {
+    ($($error:ty),*) => {$(
+        impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                Self::new(error.kind(), clean(&error.to_string(), 600))
+            }
+        }
+    )*};
+}
+failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
+
+/// Ends the text about a full disk: a refused request must be repeated.
+pub const AGAIN: &str = ", then do it again";
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        let again = if matches!(error, StoreError::DiskFull { .. }) { AGAIN } else { "" };
+        Self::new(error.kind(), clean(&format!("{error}{again}"), 600))
+    }
+}
+
+impl From<PipelineError> for Failure {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Store(error) => error.into(),
+            error => Self::new(error.kind(), clean(&error.to_string(), 600)),
+        }
+    }
+}
+
+pub fn refused(message: impl Into<String>) -> Failure {
+    Failure::new(ErrorKind::Refused, message)
+}
+
+pub fn input(message: impl Into<String>) -> Failure {
+    Failure::new(ErrorKind::Input, message)
+}
+
+/// For what no act of an operator can cause.
+pub fn internal(message: impl Into<String>) -> Failure {
+    Failure::new(ErrorKind::Internal, message)
 }
 
 pub type Result<T, E = Failure> = std::result::Result<T, E>;
@@ -92,7 +138,6 @@ impl Answer for () {
 replies! {
     Identity(IdentityView);
     Keys(KeysView);
-    KeyChange(KeyChangeView);
     Key(SecretBytes);
     Topics(Vec<TopicRow>);
     Coverage(Vec<CoverageView>);
@@ -151,12 +196,6 @@ replies! {
 pub enum Severity {
     Warning,
     Critical,
-}
-
-impl Severity {
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -470,4 +509,50 @@ pub struct RobotView {
     /// TOML; empty = its own settings alone.
     pub policy: String,
     pub set_at: Option<Timestamp>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Topics, their rates or their watching (`ListTopics`).
+    Topics,
+    /// Records or their states (`ListUploads`, `SiteStatus`).
+    Uploads,
+    /// Grants given or received (`ListGrants`, `ListShared`).
+    Grants,
+    /// The chain (`ChainStatus`).
+    Chain,
+    /// Health of a part (`SiteStatus`).
+    Health,
+    /// Keys, registration (`ShowIdentity`, `ListKeys`).
+    Identity,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
+#[serde(rename_all = "snake_case")]
+pub enum NoticeLevel {
+    /// Shown for 3 s.
+    Info,
+    Warning,
+    Error,
+}
+
+crate::model::words!(Severity, NoticeLevel);
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "event")]
+pub enum Event {
+    /// Pull this part again; at most four times a second per part.
+    Changed { part: Part },
+    /// Something an operator should know; cleaned.
+    Notice {
+        at: Timestamp,
+        level: NoticeLevel,
+        /// What happened, to what, and what to do.
+        text: String,
+        /// Subject: a later notice about it replaces this one; an informational one clears it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        about: Option<String>,
+    },
 }

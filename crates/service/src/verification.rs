@@ -11,8 +11,7 @@ use crate::model::{Address, Digest, ErrorKind, Hash, Timestamp};
 use crate::pipeline::Directory;
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::export_folder::{AnchorWord, ExportFolder, VerifyStep};
-use crate::service::failure::input;
-use crate::service::reply::Result;
+use crate::reply::{Result, input};
 
 /// Most anchors of a record examined, and most of those in the block that the folder names.
 const MOST_ANCHORS: usize = 256;

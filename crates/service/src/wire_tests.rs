@@ -4,7 +4,7 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::service::{Command, Reply};
+use crate::{Command, Reply};
 
 pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"create_identity","passphrase":"p"}"#,
@@ -15,7 +15,6 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"load_key","kind":"sm2","path":"/k.pem","passphrase":null}"#,
     r#"{"command":"rotate_keys"}"#,
     r#"{"command":"rotate_envelope"}"#,
-    r#"{"command":"foresee_key_change","kind":"envelope"}"#,
     r#"{"command":"change_passphrase","old":"p","new":"q"}"#,
     r#"{"command":"export_key","kind":"eoa","passphrase":"p"}"#,
     r#"{"command":"list_topics"}"#,
@@ -37,7 +36,6 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"export_recording","path":"/a.mcap","format":"mcap","compression":"none","owner":null,"topics":[],"since":null,"until":null,"unanchored":false}"#,
     r#"{"command":"recording_progress"}"#,
     r#"{"command":"show_policy"}"#,
-    r#"{"command":"learn_policy","milliseconds":5}"#,
     r#"{"command":"list_uploads","owner":null,"topic":"/odom","kind":"data","type_name":null,"tags":[],"state":"verified","since":null,"until":null,"after":null,"limit":10,"newest_first":true}"#,
     r#"{"command":"list_shared","owner":"bob","topic":null,"kind":null,"type_name":null,"tags":[],"state":null,"since":null,"until":null,"after":"x","limit":10,"newest_first":false}"#,
     r#"{"command":"show_upload","id":"0a"}"#,

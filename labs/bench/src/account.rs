@@ -13,7 +13,7 @@ use authros_crypto::{
 use authros_model::head::Compression;
 use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderPrefix, Timestamp, Token, TopicId};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// The topic of all records.
 const TOPIC: &str = "/robot1/odom";

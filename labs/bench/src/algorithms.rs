@@ -21,7 +21,7 @@ use super::spread::{Spread, number};
 use authros_crypto::{Kernel, Provider};
 use authros_output::table;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// The paper's largest message.
 const LARGEST: usize = 800_000;

@@ -16,7 +16,7 @@ use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_model::{Address, Hash};
 use authros_pipeline::pace::Pace;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 type Told = Result<(Instant, Inclusion), Failure>;
 

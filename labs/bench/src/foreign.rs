@@ -13,7 +13,7 @@ use authros_crypto::EoaSecret;
 use authros_model::bytes::{hex, unhex};
 use authros_model::{Address, ErrorKind, Hash};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// What a block holds.
 pub struct Block {

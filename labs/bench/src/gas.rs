@@ -23,7 +23,7 @@ use authros_crypto::{EoaSecret, Provider, random_bytes};
 use authros_model::Hash;
 use authros_output::table;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Leaves of a batch.
 const BATCHES: [usize; 4] = [1, 16, 256, 4096];

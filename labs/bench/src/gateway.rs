@@ -32,7 +32,7 @@ use authros_gateway::{
 use authros_model::{Digest, Timestamp};
 use authros_output::table;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Bytes of a message, and how many records for each eight requested.
 const SIZES: [(usize, usize); 2] = [(1024, 8), (58 * 1024, 1)];

@@ -12,7 +12,7 @@ use super::network::Network;
 use authros_chain::{Call, Chain, ChainError, Offered, SignedTransaction};
 use authros_model::{Address, Hash};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// How often a silent node is asked.
 const ATTEMPTS: u32 = 8;

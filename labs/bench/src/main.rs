@@ -44,7 +44,7 @@ use authros_crypto::{Provider, ProviderName, provider};
 use authros_model::ErrorKind;
 use authros_output::Output;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// What all benches share.
 struct Lab {

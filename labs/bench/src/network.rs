@@ -16,7 +16,7 @@ use authros_chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receip
 use authros_crypto::{EoaSecret, Provider};
 use authros_model::{ErrorKind, Hash, Wei};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// How long a single transaction may wait for its block.
 pub const PATIENCE: Duration = Duration::from_secs(120);

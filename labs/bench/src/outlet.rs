@@ -9,7 +9,7 @@ use super::report::{Report, csv};
 use authros_model::ErrorKind;
 use authros_output::Output;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 use authros_store::files::atomic_write;
 
 /// The output.

@@ -22,7 +22,7 @@ use crate::pipeline::before::captured_at;
 use authros_model::{RecordKind, RecordState};
 use authros_output::table;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 use authros_store::{Ledger, RecordQuery};
 
 /// Rows of a page.

@@ -13,7 +13,7 @@ pub use self::scale::Axis;
 use self::scale::{Scale, short};
 use crate::spread::{Spread, number};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 pub use plotters::style::RGBColor;
 
 /// Colours that colour-blind people can distinguish; ours first.

@@ -16,7 +16,7 @@ use super::spread::{Spread, decimal, number};
 use authros_crypto::{Provider, ProviderName, provider};
 use authros_output::table;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// 1 KiB (odometry), 58 KB (a compressed picture, as in `pipeline`), 1 MB (a raw one).
 const SIZES: [usize; 3] = [1024, 58 * 1024, 1_000_000];

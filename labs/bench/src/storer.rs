@@ -6,7 +6,7 @@ use std::path::Path;
 use authros_chain::merkle::Leaf;
 use authros_model::{RecordKind, RecordState, Signature, Timestamp};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 use authros_store::{Ciphertext, Ledger, NewRecord};
 
 /// The store.

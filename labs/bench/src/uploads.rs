@@ -20,7 +20,7 @@ use super::prototype::Prototype;
 use authros_chain::Call;
 use authros_model::{Digest, ErrorKind, Timestamp};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Length of a message, bytes, as in the paper.
 pub const MESSAGE: usize = 1024;

@@ -14,7 +14,7 @@ use crate::pipeline::{Network, Owner, authority, chain_proofs, reader::Reader};
 use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
-use crate::service::{Client, Failure, GrantFrom, Needs, Site, UploadQuery, failure::internal};
+use crate::service::{Client, Failure, GrantFrom, Needs, Site, UploadQuery, reply::internal};
 use crate::{cli::demo, store::RecordQuery};
 use authros_output::Output;
 

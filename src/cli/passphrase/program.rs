@@ -13,7 +13,7 @@ use zeroize::Zeroizing;
 use super::{LONGEST, first_line};
 use crate::config::command_words;
 use crate::model::clean;
-use crate::service::{Failure, SecretText, failure::input};
+use crate::service::{Failure, SecretText, reply::input};
 
 /// It may ask its user for something.
 const PATIENCE: Duration = Duration::from_secs(30);

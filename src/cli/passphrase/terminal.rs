@@ -2,7 +2,7 @@
 
 use super::{Failure, SecretText, input, usage};
 use crate::crypto::{CryptoError, Passphrase, SHORTEST_PASSPHRASE};
-use crate::service::failure::refused;
+use crate::service::reply::refused;
 use crate::term::secret::Hidden;
 
 const ATTEMPTS: usize = 3;

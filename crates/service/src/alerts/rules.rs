@@ -4,9 +4,9 @@ use std::cmp::Reverse;
 use std::time::Duration;
 
 use crate::config::AlertLimits;
+use crate::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures, short};
 use crate::model::{Timestamp, coarse, counted, grouped};
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures, short};
-use crate::service::reply::{AlertView, HealthLevel, PartHealth, Severity};
+use crate::reply::{AlertView, HealthLevel, PartHealth, Severity};
 
 /// Time after a start to work off the backlog, without judging ages.
 const SETTLING: Duration = Duration::from_secs(120);

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use crate::config::AlertLimits;
+use crate::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
 use crate::model::Timestamp;
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
-use crate::service::reply::{HealthLevel, LifeLine, PartHealth};
+use crate::reply::{HealthLevel, LifeLine, PartHealth};
 
 /// When the tests begin, seconds.
 const BEGUN: u64 = 1_700_000_000;

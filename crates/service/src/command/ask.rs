@@ -1,7 +1,7 @@
 //! Requests that name their answers. One list generates the wire enum, a type for each request, and its answer.
 
 use super::Command;
-use crate::service::reply::{Answer, Failure, Reply, Result};
+use crate::reply::{Answer, Failure, Reply, Result};
 
 pub trait Ask: Into<Command> {
     type Answer: Answer;
@@ -17,8 +17,8 @@ pub trait Ask: Into<Command> {
     }
 }
 
-/// Generates `enum $wire`, the right that each variant needs, and a type per variant that implements [`Ask`]. Entries
-/// under `groups` are variants that hold further lists.
+/// Generates `enum $wire`, the right that each variant needs, why a gateway on a server leaves it to another home, and a
+/// type per variant that implements [`Ask`]. Entries under `groups` are variants that hold further lists.
 macro_rules! requests {
     (
         $(#[$outer:meta])*
@@ -28,7 +28,7 @@ macro_rules! requests {
             $name:ident $({ $(
                 $(#[doc = $field_doc:literal])* $(#[serde($($field_serde:tt)+)])?
                 $field:ident: $kind:ty
-            ),+ $(,)? })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr;
+            ),+ $(,)? })? $(($one:ident: $inner:ty))? => $answer:ty, $needed:expr, $elsewhere:expr;
         )+
         $(groups { $($(#[doc = $group_doc:literal])+ $group:ident($members:ty);)+ })?
     ) => {
@@ -50,6 +50,13 @@ macro_rules! requests {
                 match self {
                     $(Self::$name { .. } => $needed,)+
                     $($(Self::$group(member) => member.needs(),)+)?
+                }
+            }
+
+            fn elsewhere(&self) -> Elsewhere {
+                match self {
+                    $(Self::$name { .. } => $elsewhere,)+
+                    $($(Self::$group(member) => member.elsewhere(),)+)?
                 }
             }
         }

@@ -7,8 +7,7 @@ use strum::VariantArray as _;
 
 use super::UploadQuery;
 use crate::model::{Clock, RecordKind, RecordState, clean};
-use crate::service::failure::input;
-use crate::service::reply::Result;
+use crate::reply::{Result, input};
 
 /// The state's word without quotes for a shell.
 const RIGHT_ENDED: &str = "unauthorised";
@@ -29,12 +28,9 @@ pub enum Term {
     Robot,
 }
 
-impl Term {
-    /// Its word: after `--`, or before `:`.
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
+crate::model::words!(Term);
 
+impl Term {
     pub fn named(word: &str) -> Option<Self> {
         word.parse().ok()
     }
@@ -69,24 +65,10 @@ pub fn words(text: &str) -> Vec<String> {
 
 /// `did you mean 'since:'? ` if one of the words is close to this one.
 fn meant<'a>(word: &str, all: impl Iterator<Item = &'a str>) -> String {
-    let nearest = all.map(|known| (distance(word, known), known)).min();
+    let word: String = word.chars().take(40).collect();
+    let nearest = all.map(|known| (strsim::levenshtein(&word, known), known)).min();
     let close = nearest.filter(|(distance, known)| *distance * 3 <= known.len());
     close.map_or_else(String::new, |(_, known)| format!("did you mean '{known}'? "))
-}
-
-/// Letters to add, drop or replace (Levenshtein).
-fn distance(one: &str, other: &str) -> usize {
-    let other: Vec<char> = other.chars().collect();
-    let mut row: Vec<usize> = (0..=other.len()).collect();
-    for (place, letter) in one.chars().take(40).enumerate() {
-        let mut diagonal = std::mem::replace(row.first_mut().unwrap_or(&mut 0), place + 1);
-        let mut left = place + 1;
-        for (cell, against) in row.iter_mut().skip(1).zip(&other) {
-            left = (diagonal + usize::from(letter != *against)).min(*cell + 1).min(left + 1);
-            diagonal = std::mem::replace(cell, left);
-        }
-    }
-    row.last().copied().unwrap_or(0)
 }
 
 impl UploadQuery {
@@ -178,16 +160,6 @@ mod tests {
             assert_eq!(failure.kind, ErrorKind::Input);
             assert!(failure.message.starts_with(near), "{word}: {failure}");
             assert!(failure.message.contains("since: until:"), "{word}: {failure}");
-        }
-    }
-
-    #[test]
-    fn letters_between_words_are_counted() {
-        // By hand.
-        for (one, other, letters) in
-            [("", "", 0), ("", "abc", 3), ("kitten", "sitting", 3), ("until", "unti", 1), ("since", "sinec", 2)]
-        {
-            assert_eq!((distance(one, other), distance(other, one)), (letters, letters), "{one} {other}");
         }
     }
 

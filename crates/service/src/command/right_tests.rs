@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Command, Kind, Needed};
 use crate::model::OperatorRight;
-use crate::service::wire_tests::REQUESTS;
+use crate::wire_tests::REQUESTS;
 
 /// Requests that the list of lines has no example of.
 const FURTHER: &[&str] = &[
@@ -25,7 +25,6 @@ const GROUPS: &[(&str, &str)] = &[("of_incident", "incident"), ("of_robot", "rob
 const LOOK: &[&str] = &[
     "show_identity",
     "list_keys",
-    "foresee_key_change",
     "foresee_grant",
     "list_topics",
     "topic_coverage",
@@ -56,16 +55,8 @@ const LOOK: &[&str] = &[
     "of_robot list_robots",
     "of_robot show_robot",
 ];
-const CAPTURE: &[&str] = &[
-    "watch_topic",
-    "unwatch_topic",
-    "pin_topic",
-    "unpin_topic",
-    "capture",
-    "stop_capture",
-    "learn_policy",
-    "hold_capture",
-];
+const CAPTURE: &[&str] =
+    &["watch_topic", "unwatch_topic", "pin_topic", "unpin_topic", "capture", "stop_capture", "hold_capture"];
 const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
 const PASSPHRASE: &[&str] = &[
     "create_identity",
@@ -97,12 +88,10 @@ const ELSEWHERE: &[&str] = &[
     "extend_grant",
     "follow_folder",
     "foresee_grant",
-    "foresee_key_change",
     "grant",
     "hold_capture",
     "import_home",
     "import_recording",
-    "learn_policy",
     "lend_device",
     "list_shared",
     "load_key",
@@ -189,7 +178,7 @@ fn a_gateway_on_a_server_leaves_to_other_homes_what_it_has_no_tables_for() {
         .filter(|line| {
             let command: Command = serde_json::from_str(line).expect("a request");
             let refused = command.check_on_server().err();
-            let is_told = |failure: &crate::service::Failure| {
+            let is_told = |failure: &crate::Failure| {
                 failure.kind == crate::model::ErrorKind::Refused && failure.message.contains("store.url")
             };
             assert!(refused.as_ref().is_none_or(is_told), "{refused:?}");

@@ -6,9 +6,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::failure::input;
 use crate::model::{IncidentName, Party, RecordKind, RecordState, Timestamp, TopicName, TopicPattern, TypeName, clean};
-use crate::reply::Result;
+use crate::reply::{Result, input};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -100,13 +99,6 @@ pub struct Held {
     pub topic: Option<TopicPattern>,
     /// Only without a topic.
     pub ids: Vec<String>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PairKind {
-    Signing,
-    Envelope,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

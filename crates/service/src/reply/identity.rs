@@ -1,8 +1,8 @@
 //! Answers about profiles, their keys and transactions, and their readers.
 
-pub use crate::pipeline::directory::GrantState;
-
 use serde::{Deserialize, Serialize};
+
+pub use crate::pipeline::GrantState;
 
 use crate::command::SecretBytes;
 use crate::model::{
@@ -122,17 +122,6 @@ pub struct KeysView {
     pub envelope_key: PublicKey,
     pub envelope_fingerprint: String,
     pub epochs: Vec<EpochView>,
-}
-
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct KeyChangeView {
-    pub readers: Vec<Address>,
-    pub sharers: Vec<Address>,
-    pub robots: Vec<ProfileName>,
-    pub keeps_gateway: bool,
-    pub joined: Option<String>,
-    /// The effects, in words.
-    pub lines: Vec<String>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -274,11 +263,7 @@ pub enum Direction {
     Received,
 }
 
-impl Direction {
-    pub fn word(self) -> &'static str {
-        self.into()
-    }
-}
+crate::model::words!(Direction);
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GrantRow {

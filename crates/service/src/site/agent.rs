@@ -4,27 +4,27 @@ mod policy;
 
 use std::collections::{BTreeSet, HashSet};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use tokio::task::{JoinHandle, block_in_place};
 
 use self::policy::{AgentPolicy, PolicyFigures, PolicyKeeper};
-use super::Site;
 use crate::config::RingSettings;
 use crate::crypto::{Enrolment, SealedEnrolment, random_bytes};
-use crate::failure::{internal, refused};
 use crate::gateway::Context;
 use crate::model::{
     Digest, ErrorKind, ProfileName, RecordState, RecorderPrefix, SignerId, TopicName, TopicPatterns, clean, counted,
+    locked,
 };
 use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
 use crate::pipeline::{Author, CaptureSession, recorder_heads};
-use crate::reply::{Failure, Result};
+use crate::reply::{Failure, Result, internal, refused};
+use crate::site::Site;
 use crate::store::{DiskRing, RingFigures, StateCounts, TopicCounts};
 
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -214,7 +214,7 @@ impl Agent {
         if pending == 0 {
             return Some(AgentEnd::Done);
         }
-        let aside = self.refused.lock().unwrap_or_else(PoisonError::into_inner).len();
+        let aside = locked(&self.refused).len();
         if pending <= aside as u64 {
             return Some(AgentEnd::Refused);
         }
@@ -242,7 +242,7 @@ impl Agent {
                 Link::Up => "connected".to_owned(),
                 Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
-            ring: ring.map(|ring| ring.lock().unwrap_or_else(PoisonError::into_inner).figures()),
+            ring: ring.map(|ring| locked(ring).figures()),
             policy: self.policy.figures(),
         }
     }
@@ -362,7 +362,7 @@ impl AgentRing {
         gone.iter().for_each(|topic| self.keep(topic, false));
         self.looked = None;
         if let Some(limits) = limits {
-            let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut ring = locked(&self.ring);
             block_in_place(|| ring.set_limits(limits))?;
         }
         Ok(())
@@ -381,7 +381,7 @@ impl AgentRing {
             return;
         }
         self.looked = Some(Instant::now());
-        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ring = locked(&self.ring);
         let now = ring.now();
         let tended = block_in_place(|| ring.tend(now));
         drop(ring);

@@ -4,22 +4,20 @@ use std::collections::VecDeque;
 use std::collections::hash_map::RandomState;
 use std::hash::{BuildHasher as _, Hasher as _};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 
-use super::parts::Parts;
-use super::{Site, blocking};
+use crate::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
-use crate::model::Timestamp;
-use crate::service::alerts::{
-    Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of,
+use crate::figures::{Figures, short};
+use crate::hub::Hub;
+use crate::model::{Timestamp, locked};
+use crate::reply::{
+    AlertTestView, AlertView, AlertsView, EndedAlert, Failure, NoticeLevel, Part, Result, Severity, input,
 };
-use crate::service::event::{NoticeLevel, Part};
-use crate::service::failure::input;
-use crate::service::figures::{Figures, short};
-use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Result, Severity};
+use crate::site::{Parts, Site, blocking};
 
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
 /// Refusals of the first delivery after which it is dropped: the others wait behind it.
@@ -34,6 +32,7 @@ const MOST_OVER: usize = 20;
 pub(super) struct Alerts {
     settings: AlertSettings,
     path: PathBuf,
+    hub: Arc<Hub>,
     known: Mutex<Option<Known>>,
     /// Result of the last look. A separate lock: readers never wait for a disk.
     shown: Mutex<Shown>,
@@ -73,38 +72,37 @@ struct Known {
 
 impl Alerts {
     pub fn new(parts: &Parts) -> Self {
-        let (settings, path) = (parts.config.alerts.clone(), parts.home.alerts());
-        Self { settings, path, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
-    }
-
-    fn shown_now(&self) -> MutexGuard<'_, Shown> {
-        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+        let (settings, path, hub) = (parts.config.alerts.clone(), parts.home.alerts(), Arc::clone(&parts.hub));
+        Self { settings, path, hub, known: Mutex::default(), shown: Mutex::default(), added: Notify::new() }
     }
 
     pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
-        let shown = self.shown_now();
+        let shown = locked(&self.shown);
         (shown.alerts.clone(), shown.over.iter().cloned().collect())
     }
 
     pub fn by_rule(&self) -> Vec<(&'static str, u64)> {
-        let shown = self.shown_now();
+        let shown = locked(&self.shown);
         let count = |rule: &str| shown.alerts.iter().filter(|alert| rule_of(&alert.key) == rule).count();
         RULES.iter().map(|rule| (*rule, u64::try_from(count(rule)).unwrap_or(u64::MAX))).collect()
     }
 
     pub fn deliveries(&self) -> (u64, u64) {
-        self.shown_now().deliveries
+        locked(&self.shown).deliveries
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Known) -> Told) -> Told {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = locked(&self.known);
         let known = known.get_or_insert_with(|| {
-            let queue = Queue::open(&self.path);
+            let (queue, lost) = Queue::open(&self.path);
+            if let Some(text) = lost {
+                self.hub.warn(&text);
+            }
             let (judge, standing) = (Judge::new(self.settings.limits.clone()), Standing::of(queue.standing()));
             Known { judge, standing, queue, reminded: Instant::now() }
         });
         let told = work(known);
-        self.shown_now().deliveries = known.queue.counts();
+        locked(&self.shown).deliveries = known.queue.counts();
         told
     }
 
@@ -132,7 +130,7 @@ impl Alerts {
             }
             (changes, known.standing.all())
         });
-        self.shown_now().refresh(figures.now, standing, &changes);
+        locked(&self.shown).refresh(figures.now, standing, &changes);
         self.added.notify_one();
         changes
     }
@@ -273,10 +271,11 @@ mod over_http;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reply::Event;
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn what_stands_and_was_over_is_known_where_nobody_is_told_and_nothing_is_written_for_nobody() {
-        use crate::service::alerts::troubles::{before, well};
+        use crate::alerts::troubles::{before, well};
         let settings = [("alerts.disk", "1000MiB"), ("alerts.grant_ends", "1h")];
         let needs = super::super::Needs { ros: false, chain: false };
         let (site, folder) = super::super::testing::site_of(&settings, needs);
@@ -301,6 +300,17 @@ mod tests {
         silent.robots[0].last_seen = before(&silent, 700);
         assert_eq!(site.alerts.look(&silent).len(), 1);
         site.stop().await;
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_queue_that_cannot_be_read_is_told_of() {
+        let ground = super::super::testing::Ground::with(&[]);
+        std::fs::write(ground.home().alerts(), "damaged").expect("written");
+        let (alerts, mut events) = (Alerts::new(&ground.parts), ground.parts.hub.events().subscribe());
+        assert_eq!((alerts.view().waiting, alerts.view().waiting), (0, 0));
+        let Ok(Event::Notice { level, text, .. }) = events.try_recv() else { panic!("it is told") };
+        assert!(level == NoticeLevel::Warning && text.starts_with("look into "), "{text}");
+        assert!(events.try_recv().is_err(), "once");
     }
 
     #[test]

@@ -1,15 +1,13 @@
 //! Compares the machine's clock with one that does not jump. A jump is reported, audited, and part of the health until
 //! it is over or accepted.
 
-use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::blocking;
 use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::model::{ProfileName, coarse};
-use crate::service::event::{NoticeLevel, Part};
-use crate::service::reply::{HealthLevel, PartHealth, Result};
+use crate::reply::{HealthLevel, NoticeLevel, Part, PartHealth, Result};
+use crate::site::{Parts, blocking};
 
 const LOOK: Duration = Duration::from_secs(1);
 /// Seconds; less is not a jump.

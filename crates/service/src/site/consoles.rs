@@ -2,15 +2,14 @@
 //! one opened by `serve` or another command stays open.
 
 use std::collections::HashSet;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::oneshot;
 
-use super::Site;
-use super::operators::Asker;
-use crate::model::{ErrorKind, ProfileName};
-use crate::service::reply::{Failure, Result};
+use crate::model::{ErrorKind, ProfileName, locked};
+use crate::reply::{Failure, Result};
+use crate::site::{Asker, Site};
 
 /// Longest wait for a profile's dues to the chain before its keyring is locked.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -45,38 +44,34 @@ pub(super) struct Consoles {
     to_lock: HashSet<ProfileName>,
 }
 
-fn held(claims: &Claims) -> std::sync::MutexGuard<'_, Held> {
-    claims.held.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 pub(super) fn opened_by(claims: &Claims, profile: ProfileName) {
-    held(claims).opened.insert(profile);
+    locked(&claims.held).opened.insert(profile);
 }
 
 /// Ends when what the connection holds is released.
 pub(super) fn until_released(claims: &Claims) -> oneshot::Receiver<()> {
     let (end, ended) = oneshot::channel();
-    held(claims).servers.push(end);
+    locked(&claims.held).servers.push(end);
     ended
 }
 
 impl Site {
     pub(super) fn claim(&self, profile: ProfileName, claims: &Claims) -> Result<()> {
-        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = held(claims).consoles.contains(&profile);
+        let mut consoles = locked(&self.consoles);
+        let own = locked(&claims.held).consoles.contains(&profile);
         if !consoles.open.insert(profile.clone()) && !own {
             let advice = "close it, or open another profile with --profile";
             let text = format!("a console of profile '{profile}' is already open; {advice}");
             return Err(Failure::new(ErrorKind::Home, text));
         }
-        held(claims).consoles.insert(profile);
+        locked(&claims.held).consoles.insert(profile);
         Ok(())
     }
 
     /// Frees a connection's consoles, locks what they opened, and ends the servers it requested.
     pub(super) fn release(self: &Arc<Self>, claims: &Claims) {
-        let left = std::mem::take(&mut *held(claims));
-        let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+        let left = std::mem::take(&mut *locked(&claims.held));
+        let mut consoles = locked(&self.consoles);
         for profile in left.consoles {
             consoles.open.remove(&profile);
             if left.opened.contains(&profile) {
@@ -93,7 +88,7 @@ impl Site {
         // What cannot be sent now is resumed at the next unlock.
         drop(tokio::time::timeout(PATIENCE, self.owes_nothing(&profile)).await);
         {
-            let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut consoles = locked(&self.consoles);
             if consoles.open.contains(&profile) || !consoles.to_lock.remove(&profile) {
                 return;
             }
@@ -120,8 +115,8 @@ mod tests {
     #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
     use super::*;
-    use crate::service::Client;
-    use crate::service::command::{OpenConsole, SecretText, Unlock};
+    use crate::Client;
+    use crate::command::{OpenConsole, SecretText, Unlock};
     use crate::site::testing::{PASSPHRASE, profile, registered, site_with_chain};
 
     fn unlock() -> Unlock {
@@ -132,7 +127,7 @@ mod tests {
     async fn left(site: &Arc<Site>, console: Client) {
         drop(console);
         loop {
-            let gone = site.consoles.lock().unwrap_or_else(PoisonError::into_inner).open.is_empty();
+            let gone = locked(&site.consoles).open.is_empty();
             if gone {
                 return;
             }
@@ -141,7 +136,7 @@ mod tests {
     }
 
     fn is_to_lock(site: &Site) -> bool {
-        !site.consoles.lock().unwrap_or_else(PoisonError::into_inner).to_lock.is_empty()
+        !locked(&site.consoles).to_lock.is_empty()
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

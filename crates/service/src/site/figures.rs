@@ -8,22 +8,18 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
 use tokio::sync::{Mutex, Semaphore};
 
-use super::{Site, blocking};
 use crate::config::FiguresPlace;
 use crate::crypto::signer_id;
-use crate::figures;
+use crate::figures::{BOUNDS, Figures, GrantFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, short};
 use crate::model::steady_clock::look;
 use crate::model::{Address, Timestamp};
-use crate::pipeline::audit_head;
-use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::{Milestone, Stage};
-use crate::service::figures::{
-    BOUNDS, Figures, GrantFigures, Latency, OwnerFigures, RobotFigures, TopicFigures, exposition, short,
-};
-use crate::service::reply::{GrantState, HealthLevel, Result};
-use crate::service::socket;
+use crate::pipeline::{LaneState, audit_head};
+use crate::reply::{GrantState, HealthLevel, Result};
+use crate::site::{Site, blocking};
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
+use crate::{figures, socket};
 
 const FRESH: Duration = Duration::from_secs(1);
 const AGAIN: Duration = Duration::from_secs(5);
@@ -107,7 +103,7 @@ impl Site {
         if let Some((_, text)) = kept.as_ref().filter(|(at, _)| at.elapsed() < FRESH) {
             return Some(Arc::clone(text));
         }
-        let text: Arc<str> = blocking(&self, |site| Ok(exposition::text(&site.figures()?))).await.ok()?.into();
+        let text: Arc<str> = blocking(&self, |site| Ok(figures::text(&site.figures()?))).await.ok()?.into();
         *kept = Some((Instant::now(), Arc::clone(&text)));
         Some(text)
     }

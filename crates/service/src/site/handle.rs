@@ -6,16 +6,15 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::Site;
 use super::audit::is_operator;
-use super::consoles::{Claims, opened_by, until_released};
+use super::consoles::{opened_by, until_released};
+use crate::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
 use crate::model::{ErrorKind, ProfileName, TopicName, TopicPattern, clean};
 use crate::pipeline::Owner;
-use crate::service::command::{self as ask, Ask, Command, IncidentCommand, Request, UploadQuery};
-use crate::service::failure::input;
-use crate::service::reply::{Failure, RecordPage, Reply, Result};
-use crate::site::devices::pulling::span;
+use crate::reply::{Failure, RecordPage, Reply, Result, input};
+use crate::site::devices::span;
 use crate::site::mirror::remote::{FIRST_ROUND, LISTING};
+use crate::site::{Claims, Site};
 
 /// A match with an arm for each request, whose answer is of the type that the request names.
 macro_rules! answers {
@@ -73,7 +72,6 @@ impl Site {
             ListKeys => self.profiles.keys(&*owner()?).await;
             LoadKey { kind, path, passphrase } => self.profiles.load_key(&owner()?, kind, path, passphrase).await;
             RotateEnvelope => self.profiles.rotate_envelope(&*owner()?).await;
-            ForeseeKeyChange { kind } => self.profiles.foresee_key_change(&*owner()?, kind).await;
             RotateKeys => self.sharing.rotate(&*owner()?, "requested").await;
             ExportKey { kind, passphrase } => self.profiles.export_key(&*owner()?, kind, passphrase).await;
             TopicCoverage { topic, robot, since, until, parts } => {
@@ -87,11 +85,10 @@ impl Site {
             ListPins { topic } => self.pins.view(&profile, topic.as_ref()).await;
             PinTopic { topic, publishers } => self.pins.pin(&profile, &topic, publishers).await;
             UnpinTopic { topic, caller_id } => self.pins.unpin(&profile, &topic, &caller_id).await;
-            ListQuarantine { topic, limit } => self.quarantine.view(&profile, topic, limit).await;
+            ListQuarantine { topic, limit } => self.quarantine.view(&profile, topic, limit);
             ReleaseHeld { held } => self.quarantine.release(&*owner()?, held).await;
             DiscardHeld { held } => self.quarantine.discard(&*owner()?, held).await;
-            ShowPolicy => self.capture.policy_view(&profile, false).await;
-            LearnPolicy { milliseconds } => self.capture.learn_policy(&profile, milliseconds).await;
+            ShowPolicy => self.capture.policy_view(&profile).await;
             Capture { topics, type_name, count, milliseconds, tags } => {
                 let topics = self.capture.named(&profile, &topics, false).await?;
                 self.capture.capture(&owner()?, &topics, type_name, count, milliseconds, tags).await
@@ -134,11 +131,11 @@ impl Site {
                 Ok(())
             };
             Grant { grantee, topics, robots, from, expires } => {
-                let topics = self.granted(&profile, &topics, &robots).await?;
+                let topics = self.given(&profile, &topics, &robots).await?;
                 self.sharing.grant(&*owner()?, &grantee, &topics, from, expires).await
             };
             ForeseeGrant { grantee, topics, robots, from } => {
-                let topics = self.granted(&profile, &topics, &robots).await?;
+                let topics = self.given(&profile, &topics, &robots).await?;
                 self.sharing.foresee_grant(&*owner()?, &grantee, &topics, from).await
             };
             ExtendGrant { grantee, expires } => self.sharing.extend(&*owner()?, &grantee, expires).await;
@@ -211,12 +208,7 @@ impl Site {
     }
 
     /// The topics of a grant: those named, those known that match a pattern, and those of robots.
-    async fn granted(
-        &self,
-        profile: &ProfileName,
-        topics: &[TopicPattern],
-        robots: &[String],
-    ) -> Result<Vec<TopicName>> {
+    async fn given(&self, profile: &ProfileName, topics: &[TopicPattern], robots: &[String]) -> Result<Vec<TopicName>> {
         if !robots.is_empty() || topics.iter().any(|topic| !topic.is_plain()) {
             // Robots' records arrive without topic names.
             self.reading.learn_own_names(profile).await?;

@@ -19,17 +19,14 @@ mod handle;
 mod identity;
 mod incidents;
 mod leading;
-mod lifetime;
 mod mirror;
 mod operators;
 mod parts;
 mod pins;
-mod progress;
 mod quarantine;
 mod reading;
 mod recordings;
 mod sharing;
-mod standstill;
 mod status;
 mod storage;
 mod supervision;
@@ -37,49 +34,27 @@ mod supervision;
 mod supervision_tests;
 #[cfg(test)]
 pub(crate) mod testing;
-mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-use tokio::sync::{broadcast, mpsc};
-
-pub use self::devices::enrolled::EnrolWishes;
-pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
-pub use capture::ros::RosState;
-pub use chain::connection::is_bound;
-pub use chain::link::NetworkState;
-pub(crate) use consoles::{Claims, joiner};
-pub use evidence::definition_of;
-#[cfg(test)]
-pub(crate) use gateway::workers::sealed as sealed_system_keys;
-pub(crate) use gateway::workers::{join_key, opened as opened_system_keys};
-pub(crate) use identity::keyring_faults;
-pub(crate) use leading::standing as lease_standing;
-pub(crate) use operators::{Asker, Heard};
-pub use reading::view::record_page;
-pub(crate) use storage::{STORE_LOST, misses_store, other_gateway, store_loss};
-
 use alerts::Alerts;
 use audit::Audit;
 use backup::Backup;
 use bridge::Bridge;
-use capture::Capture;
 use capture::ros::RosSide;
-use capture::sealer_thread::SealerThread;
-use capture::watches::Watches;
+use capture::{Capture, SealerThread, Watches};
 use chain::administration::Administering;
 use chain::connection::Connection;
-use chain::lanes::Lanes;
+use chain::link::Lanes;
 use clock::Clock;
 use contacts::Contacts;
 use devices::Devices;
 use devices::enrolled::Enrolments;
 use evidence::{ChainProofs, Evidence, TimeStamps};
+use gateway::Admissions;
 use gateway::Gateway;
-use gateway::admissions::Admissions;
 use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
@@ -90,23 +65,36 @@ use pins::Pinning;
 use quarantine::Quarantine;
 use reading::Reading;
 use recordings::Recordings;
+use serde::{Deserialize, Serialize};
 use sharing::Sharing;
-use standstill::Standstill;
 use storage::Storage;
+use supervision::Standstill;
+use tokio::sync::{broadcast, mpsc};
 
-use super::client::{Call, Client};
-use super::event::Event;
-use super::failure::internal;
-use super::reply::{Failure, Result};
+pub use self::devices::enrolled::EnrolWishes;
+pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
+pub use capture::ros::RosState;
+pub use chain::connection::is_bound;
+pub use chain::link::NetworkState;
+pub(crate) use consoles::{Claims, joiner};
+pub use evidence::definition_of;
+pub(crate) use gateway::{join_key, opened as opened_system_keys};
+pub(crate) use identity::keyring_faults;
+pub(crate) use leading::standing as lease_standing;
+pub(crate) use operators::{Asker, Heard};
+pub use reading::own::record_page;
+pub(crate) use storage::{STORE_LOST, misses_store, other_gateway, store_loss};
+
+use crate::client::{Call, Client};
 use crate::config::Config;
 use crate::crypto::unfinished;
-use crate::model::ProfileName;
+use crate::model::{ProfileName, locked};
 use crate::paths::Home;
-use crate::pipeline::intake::Anchors;
-use crate::pipeline::recorder::CapturedMessage;
-use crate::pipeline::ring::Rings;
-use crate::pipeline::{Losses, Owner, PinRules, Pins, Plant, Recorder};
+use crate::pipeline::{Anchors, CapturedMessage, Losses, Owner, PinRules, Pins, Plant, Recorder, Rings};
+use crate::reply::{Event, Failure, Result, internal};
 use crate::store::{RESERVE_BYTES, Reserve, SiteLock};
+#[cfg(test)]
+pub(crate) use gateway::sealed as sealed_system_keys;
 
 /// Between looks at what the store says of its database.
 const LOOK: Duration = Duration::from_secs(2);
@@ -283,7 +271,7 @@ impl Site {
         if let Err(error) = reserved {
             site.parts.hub.warn(&format!("no space could be reserved for a revoke on a full disk: {error}"));
         }
-        workers::start(&site, needs, opened)?;
+        leading::start(&site, needs, opened)?;
         if copied {
             tokio::spawn(Arc::clone(&site.storage).tell_of_copy());
         }
@@ -451,7 +439,7 @@ impl Site {
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
         self.parts.life.end();
-        let ros = self.ros_task.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+        let ros = locked(&self.ros_task).take();
         self.ros.leave(ros, LEAVING).await;
         if !self.sealer.finish(FLUSHING.saturating_sub(begun.elapsed())).await {
             // The store cannot be written, and the process must still end.

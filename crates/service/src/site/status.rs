@@ -5,19 +5,18 @@ use std::time::Instant;
 
 use tokio::task::block_in_place;
 
-use super::{NetworkState, RosState, Site};
 use crate::chain::{Call, Chain, Priced, Shortfall, offered};
 use crate::durability;
 use crate::model::{Address, Hash, ProfileName, RecordState, Wei, clean, counted, without_secrets};
+use crate::pipeline::LaneState;
 use crate::pipeline::forwarder::Link as Line;
-use crate::pipeline::sender::LaneState;
 use crate::pipeline::stages::Milestone;
 use crate::pipeline::watcher::foreign;
-use crate::service::reply::{
+use crate::reply::{
     ChainView, GasView, HealthLevel, LifeLine, PartHealth, PricesView, QueueView, Result, SiteView, WaitingView,
 };
-use crate::site::chain::administration::Administering;
-use crate::site::chain::lanes::Pause;
+use crate::site::chain::link::Pause;
+use crate::site::{Administering, NetworkState, RosState, Site};
 use crate::store::StateCounts;
 
 const GAS_OVER: u64 = 100;

@@ -6,8 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use tokio::sync::Notify;
 
-use crate::service::event::Event;
-use crate::service::reply::TaskState;
+use crate::reply::{Event, TaskState};
 use crate::site::testing::Ground;
 
 #[derive(Default)]

@@ -5,13 +5,13 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::parts::{Opened, Parts};
-use super::{Needs, Site};
+use super::parts::Opened;
 use crate::config::Config;
 use crate::crypto::{Keyring, Passphrase, UnlockedKeyring};
 use crate::model::{Address, Digest, ProfileName, RecordKind, RecordState, Signature, SignerId, Timestamp, TopicId};
 use crate::paths::Home;
 use crate::pipeline::Owner;
+use crate::site::{Needs, Parts, Site};
 use crate::store::{AuditQuery, NewRecord, SiteLock};
 
 /// The passphrase of every keyring made here.
@@ -122,7 +122,7 @@ pub fn site_of(settings: &[(&str, &str)], needs: Needs) -> (Arc<Site>, tempfile:
 
 /// Makes and opens a profile of this site.
 pub async fn made(site: &Arc<Site>, name: &str) -> Arc<Owner> {
-    let secret = crate::service::command::SecretText::new(PASSPHRASE.to_owned());
+    let secret = crate::command::SecretText::new(PASSPHRASE.to_owned());
     site.profiles.create(profile(name), secret).await.expect("an identity");
     site.unlocked(&profile(name)).expect("open")
 }

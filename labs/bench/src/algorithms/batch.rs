@@ -8,7 +8,7 @@ use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::{Provider, SmKeyPair};
 use authros_model::{Address, Digest, RecorderId, Signature, SignerId, TopicId};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Records of a batch.
 const SIZES: [(&str, u32); 3] = [("authros-batch-16", 16), ("authros-batch-64", 64), ("authros-batch-256", 256)];

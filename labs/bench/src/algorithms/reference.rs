@@ -10,7 +10,7 @@ use libsm::sm4::cipher_mode::{CipherMode, Sm4CipherMode};
 use sm4::Sm4;
 
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// With the crates sm4, ctr and ghash.
 pub(super) fn seal_by_crates(key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], text: &mut Vec<u8>) -> Result<(), Failure> {

@@ -18,7 +18,7 @@ use authros_gateway::{
 use authros_model::header::TAG_LENGTH;
 use authros_model::{Address, Digest, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 use authros_store::{Ciphertext, Foreign, Ledger, NewRecord};
 
 /// The desk.

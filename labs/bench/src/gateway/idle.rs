@@ -8,7 +8,7 @@ use crate::network::Directory;
 use crate::progress::Progress;
 use crate::usage;
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Descriptors that the process needs besides.
 const OTHER_FILES: usize = 100;

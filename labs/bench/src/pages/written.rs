@@ -8,7 +8,7 @@ use rusqlite::{Connection, params};
 use crate::pipeline::before::{APART, OWNER, TOPICS, record};
 use authros_model::{Digest, RecordState};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 use authros_store::Ledger;
 
 /// One record in this many is in quarantine: a prime, so that every topic has some.

@@ -15,8 +15,8 @@ use authros_model::bytes::hex;
 use authros_model::{ErrorKind, ProfileName};
 use authros_pipeline::stages::Stages;
 use authros_service::command::{CreateIdentity, Register, SiteStatus};
-use authros_service::failure::internal;
 use authros_service::reply::SiteView;
+use authros_service::reply::internal;
 use authros_service::{Client, Failure, Needs, SecretText, Site};
 use authros_store::{SiteLock, files};
 

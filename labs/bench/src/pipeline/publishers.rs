@@ -10,7 +10,7 @@ use authros_model::Timestamp;
 use authros_ros::robot::{COMPRESSED_IMAGE, compressed_image_definition};
 use authros_ros::{Advertised, GraphPublisher as _, Publisher, md5sum};
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 use crate::account::message;
 

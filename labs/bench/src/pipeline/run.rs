@@ -15,7 +15,7 @@ use crate::usage::{processor_seconds, resident};
 use authros_pipeline::stages::Stage;
 use authros_service::Failure;
 use authros_service::command::WatchTopic;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// How long subscribing may take.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -8,8 +8,8 @@ use crate::progress::Progress;
 use crate::spread::number;
 use crate::usage::{anonymous, processor_seconds, resident};
 use authros_service::Failure;
-use authros_service::failure::internal;
 use authros_service::reply::LifeLine;
+use authros_service::reply::internal;
 
 /// How long the line may take at the end for what is still in flight.
 const REST: Duration = Duration::from_secs(180);

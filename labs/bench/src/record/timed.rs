@@ -17,7 +17,7 @@ use authros_model::{
     Address, Domain, FilterId, Head, PublicKey, RecordKind, RecorderPrefix, Signature, Timestamp, TopicId,
 };
 use authros_service::Failure;
-use authros_service::failure::internal;
+use authros_service::reply::internal;
 
 /// Records in the batch of the proof.
 const BATCH: u64 = 256;

@@ -1,10 +1,10 @@
 //! Every rule begins one alert and ends it, with given figures and the test's own clock.
 
 use super::*;
-use crate::alerts::queue::Change;
+use crate::alerts::Change;
+use crate::alerts::Standing;
+use crate::alerts::troubles::{before, grant, limits, troubles, well};
 use crate::model::Address;
-use crate::service::alerts::Standing;
-use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
 
 /// A site that is well, then in trouble for three looks, then well again: the keys of the alerts that began and ended.
 fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
@@ -88,9 +88,9 @@ fn a_grant_that_ends_is_told_until_it_is_extended_or_over_and_not_forgotten_with
     let level = |judged: &[Judged]| judged.iter().find(|judged| judged.key.starts_with(GRANT)).map(|it| it.level);
     let with = |second, grants| Figures { grants, ..well(second) };
     let mut judge = Judge::new(limits());
-    let alert = crate::alerts::queue::state_tests::alert("grant_ends/0a0b0c0d-0e0f0a0b");
+    let alert = crate::alerts::state_tests::alert("grant_ends/0a0b0c0d-0e0f0a0b");
     assert_eq!(level(&judge.judge(&with(0, None))), None);
-    let waits = judge.not_known(&[alert.clone(), crate::alerts::queue::state_tests::alert("disk")]);
+    let waits = judge.not_known(&[alert.clone(), crate::alerts::state_tests::alert("disk")]);
     assert_eq!((waits.len(), level(&waits)), (1, Some(Level::Between)), "of a process before: it waits for the chain");
     assert_eq!(level(&judge.judge(&with(10, Some(vec![grant(3611)])))), Some(Level::Clear));
     assert_eq!(level(&judge.judge(&with(11, Some(vec![grant(3611)])))), Some(Level::Firing));
@@ -185,7 +185,7 @@ fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
 #[test]
 fn an_audit_alert_from_before_a_restart_is_not_over_because_nobody_has_unlocked_a_profile() {
     let mut judge = Judge::new(limits());
-    let mut standing = Standing::of([crate::alerts::queue::state_tests::alert("audit")]);
+    let mut standing = Standing::of([crate::alerts::state_tests::alert("audit")]);
     let mut look = |second, audit_locked| {
         let figures = Figures { audit_locked, ..well(second) };
         let changes = standing.look(figures.now, "0a0b0c0d", judge.judge(&figures));

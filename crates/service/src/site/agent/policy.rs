@@ -1,23 +1,22 @@
 //! The policy of an agent, and the statement that reports it to the owner.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use super::{Agent, AgentRing, AgentWishes};
+use super::AgentRing;
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
 use crate::crypto::{LONGEST_POLICY, SignedPolicy};
-use crate::model::bytes::hex;
-use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean, counted};
+use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, TopicName, clean, counted, hex, locked};
 use crate::pipeline::notices::PolicyTaker;
 use crate::pipeline::statement::{self, Statement};
 use crate::pipeline::{CaptureSession, PipelineError, recorder_heads};
 use crate::reply::Result;
-use crate::site::Site;
+use crate::site::{Agent, AgentWishes, Site};
 use crate::store::Notes;
 use crate::store::notes::{PolicyHere, PolicyKept, PolicyTold};
 
@@ -292,7 +291,7 @@ impl PolicyKeeper {
     }
 
     pub fn kept(&self) -> PolicyKept {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.kept).clone()
     }
 
     pub fn told(&self) -> PolicyTold {
@@ -319,7 +318,7 @@ impl PolicyKeeper {
 
 impl PolicyTaker for PolicyKeeper {
     fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = locked(&self.kept);
         let (next, told) = match self.judged(policy, &kept) {
             Ok(text) => {
                 let version = policy.version;

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::over_http::until;
 use super::*;
-use crate::service::alerts::troubles::{troubles, well};
+use crate::alerts::troubles::{troubles, well};
 use crate::site::Needs;
 use crate::site::testing::site_of;
 

@@ -9,8 +9,9 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 
 use super::*;
-use crate::service::alerts::troubles::{before, troubles, well};
-use crate::service::figures::RobotFigures;
+use crate::alerts::troubles::{before, troubles, well};
+use crate::figures::RobotFigures;
+use crate::model::locked;
 use crate::site::Needs;
 use crate::site::testing::site_of;
 
@@ -23,7 +24,7 @@ struct Taken {
 
 impl Taken {
     fn all(&self) -> Vec<Value> {
-        self.bodies.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        locked(&self.bodies).clone()
     }
 }
 
@@ -40,7 +41,7 @@ async fn serve(listener: TcpListener, refusals: usize, taken: Arc<Taken>) {
         let status = if number < refusals { "503 Service Unavailable" } else { "200 OK" };
         if number >= refusals {
             let body = serde_json::from_slice(&body).expect("JSON");
-            taken.bodies.lock().unwrap_or_else(PoisonError::into_inner).push(body);
+            locked(&taken.bodies).push(body);
         }
         let answer = format!("HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
         drop(stream.write_all(answer.as_bytes()).await);
@@ -151,7 +152,7 @@ async fn serve_but_no_disk(listener: TcpListener, taken: Arc<Taken>) {
         let is_refused = body["alert"]["key"] == "disk";
         taken.asked.fetch_add(usize::from(is_refused), Ordering::AcqRel);
         if !is_refused {
-            taken.bodies.lock().unwrap_or_else(PoisonError::into_inner).push(body);
+            locked(&taken.bodies).push(body);
         }
         let status = if is_refused { "400 Bad Request" } else { "200 OK" };
         let answer = format!("HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");

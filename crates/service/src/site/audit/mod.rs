@@ -1,25 +1,24 @@
 //! The audit log, and the audit of the records themselves.
 
-pub(crate) mod log;
-
-pub(crate) use log::Log;
+#[cfg(test)]
+mod tests;
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Display;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
 
-use super::blocking;
-use super::parts::Parts;
-use super::reading::view::OwnKeys;
-use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean};
-use crate::pipeline::reader::Reader;
+use super::reading::own::OwnKeys;
+use crate::command::UploadQuery;
+use crate::hub::Hub;
+use crate::model::{Address, OperatorName, ProfileName, Timestamp, clean, counted, locked};
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
-use crate::pipeline::{Owner, audit_head, recorder_heads};
-use crate::reply::{AuditCheck, Failure, Result};
-use crate::store::Reserve;
+use crate::pipeline::{Owner, PipelineError, Reader, audit_head, recorder_heads};
+use crate::reply::{AuditCheck, AuditView, ExportedFile, Failure, Result, internal};
+use crate::site::{Parts, blocking};
+use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery, Reserve};
 
 /// A failure of one check does not hide the result of the other.
 fn both<T>(log: Result<Option<T>>, recorder: Result<Option<T>>) -> Result<Option<T>> {
@@ -79,7 +78,7 @@ impl Audit {
             let log = audit_head::state_head(&audit.parts.plant, &network, audit.parts.log.lines(), &of, every);
             let keys = of.sealing().filter(|keys| keys.domain == network.domain);
             let recorder = keys.map_or(Ok(None), |keys| {
-                let mut all = audit.seen.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut all = locked(&audit.seen);
                 let mut seen = all.get(&of.address).copied();
                 let stated = recorder_heads::state(&audit.parts.plant, of.address, &keys, every, &mut seen);
                 all.extend(seen.map(|seen| (of.address, seen)));
@@ -215,16 +214,8 @@ pub struct Refusals {
 }
 
 impl Refusals {
-    fn counts(&self) -> MutexGuard<'_, BTreeMap<Refusal, u64>> {
-        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn asked(&self) -> MutexGuard<'_, HashMap<(String, String), (Timestamp, u64)>> {
-        self.asked.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub fn add(&self, at: Timestamp, peer: &str, code: &str) -> bool {
-        let mut counts = self.counts();
+        let mut counts = locked(&self.counts);
         let (peer, code) = (clean(peer, 100), clean(code, 60));
         let mut key = (at.0 / MINUTE, peer, code);
         if counts.len() >= MOST && !counts.contains_key(&key) {
@@ -240,7 +231,7 @@ impl Refusals {
     }
 
     pub fn take(&self, now: Option<Timestamp>) -> Vec<(Refusal, u64)> {
-        let mut counts = self.counts();
+        let mut counts = locked(&self.counts);
         let running = match now {
             Some(now) => counts.split_off(&(now.0 / MINUTE, String::new(), String::new())),
             None => BTreeMap::new(),
@@ -249,14 +240,14 @@ impl Refusals {
     }
 
     pub fn put_back(&self, refusals: Vec<(Refusal, u64)>) {
-        let mut counts = self.counts();
+        let mut counts = locked(&self.counts);
         for (key, count) in refusals {
             *counts.entry(key).or_default() += count;
         }
     }
 
     pub fn is_new_query(&self, at: Timestamp, profile: &str, query: &str) -> bool {
-        let mut asked = self.asked();
+        let mut asked = locked(&self.asked);
         let key = (profile.to_owned(), query.to_owned());
         if let Some((_, times)) = asked.get_mut(&key).filter(|(first, _)| at.0.saturating_sub(first.0) < MINUTE) {
             *times += 1;
@@ -269,11 +260,11 @@ impl Refusals {
     }
 
     pub fn forget_query(&self, profile: &str, query: &str) {
-        self.asked().remove(&(profile.to_owned(), query.to_owned()));
+        locked(&self.asked).remove(&(profile.to_owned(), query.to_owned()));
     }
 
     pub fn repeated(&self, now: Option<Timestamp>) -> Vec<((String, String), u64)> {
-        let mut asked = self.asked();
+        let mut asked = locked(&self.asked);
         let ended = |first: &Timestamp| now.is_none_or(|now| now.0.saturating_sub(first.0) >= MINUTE);
         let taken = asked.extract_if(|_, (first, _)| ended(first));
         let mut again: Vec<_> =
@@ -283,8 +274,229 @@ impl Refusals {
     }
 }
 
-#[cfg(test)]
-mod tests;
+const PAGE: usize = 1000;
+/// Characters; a reason may be a sentence or two.
+const LONGEST_OUTCOME: usize = 300;
+
+pub(crate) struct Log {
+    lines: AuditLog,
+    counted: Refusals,
+    hub: Arc<Hub>,
+}
+
+impl Log {
+    pub fn new(lines: AuditLog, hub: Arc<Hub>) -> Self {
+        Self { lines, counted: Refusals::default(), hub }
+    }
+
+    pub fn lines(&self) -> &AuditLog {
+        &self.lines
+    }
+
+    /// Writes one durable line, with the operator if one asked.
+    pub(crate) async fn write(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        action: &str,
+        subject: &str,
+        outcome: &str,
+    ) -> Result<()> {
+        self.append(entry(&doer(profile.as_str()), action, subject, outcome)).await
+    }
+
+    async fn append(self: &Arc<Self>, entry: AuditEntry) -> Result<()> {
+        blocking(self, move |log| Ok(log.lines.append(entry)?)).await
+    }
+
+    /// Brackets a deed with two lines; nothing of it runs unless the first one is durable.
+    pub fn deed<'a, T: Send + 'a>(
+        self: &'a Arc<Self>,
+        profile: &'a ProfileName,
+        action: &'a str,
+        subject: &'a str,
+        deed: impl Future<Output = Result<T>> + Send + 'a,
+    ) -> impl Future<Output = Result<T>> + Send + 'a {
+        // Some deeds are large futures; a waiting caller holds a pointer.
+        let deed = Box::pin(deed);
+        async move {
+            self.write(profile, action, subject, "begun").await?;
+            let outcome = deed.await;
+            self.ended(profile, action, subject, outcome).await
+        }
+    }
+
+    /// One deed with several subjects.
+    pub async fn deeds<T>(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        deeds: &[(&str, String)],
+        deed: impl Future<Output = Result<T>>,
+    ) -> Result<T> {
+        for (action, subject) in deeds {
+            self.write(profile, action, subject, "begun").await?;
+        }
+        let outcome = deed.await;
+        for (action, subject) in deeds {
+            // The failure is reported once, below.
+            drop(self.ended(profile, action, subject, outcome.as_ref().map(|_| ()).map_err(Clone::clone)).await);
+        }
+        outcome
+    }
+
+    pub async fn ended<T>(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        action: &str,
+        subject: &str,
+        outcome: Result<T>,
+    ) -> Result<T> {
+        let words = match &outcome {
+            Ok(_) => "done".to_owned(),
+            Err(failure) => format!("failed: {}", failure.message),
+        };
+        let written = self.write(profile, action, subject, &words).await;
+        let done = outcome?;
+        // The deed is done and was announced; a failure to log its outcome is reported, not undone.
+        if let Err(failure) = written {
+            self.hub.alarm(&failure.message);
+        }
+        Ok(done)
+    }
+
+    /// Logs that a page of a list was read, once a minute for the same query.
+    pub async fn asked(self: &Arc<Self>, owner: &Owner, action: &str, query: &UploadQuery) -> Result<()> {
+        let (doer, text) = (doer(owner.profile.as_str()), query_text(query));
+        if !self.counted.is_new_query(Timestamp::now(), &doer, &text) {
+            return Ok(());
+        }
+        let written = self.write(&owner.profile, action, &text, "done").await;
+        if written.is_err() {
+            self.counted.forget_query(&doer, &text);
+        }
+        written
+    }
+
+    pub fn is_new_query(&self, name: &str, query: &str) -> bool {
+        self.counted.is_new_query(Timestamp::now(), name, query)
+    }
+
+    pub fn forget_query(&self, name: &str, query: &str) {
+        self.counted.forget_query(name, query);
+    }
+
+    /// Returns whether it is the first of its minute. `peer` has no port: each connection has another.
+    pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
+        self.counted.add(Timestamp::now(), peer, code)
+    }
+
+    pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
+        if let Err(PipelineError::NotGranted { .. }) = outcome {
+            let _first = self.refused(&doer(owner.profile.as_str()), "not_granted");
+        }
+    }
+
+    /// Writes the counters of past minutes; all of them if `now` is `None`.
+    pub async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
+        let mut refusals = self.counted.take(now).into_iter();
+        while let Some(((minute, peer, code), count)) = refusals.next() {
+            let outcome = format!("{count} in the minute from {}", Timestamp::from_seconds(minute * 60));
+            if let Err(failure) = self.append(entry(&peer, "refused", &code, &outcome)).await {
+                let lost = std::iter::once(((minute, peer, code), count)).chain(refusals).collect();
+                self.counted.put_back(lost);
+                self.hub.alarm(&failure.message);
+                break;
+            }
+        }
+        for ((profile, query), times) in self.counted.repeated(now) {
+            let line = entry(&profile, "list shared", &query, &format!("{} again", counted(times, "time")));
+            if let Err(failure) = self.append(line).await {
+                self.hub.alarm(&failure.message);
+                return;
+            }
+        }
+    }
+
+    pub async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>> {
+        let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
+        let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
+        lines.reverse();
+        Ok(lines.into_iter().map(view).collect())
+    }
+
+    pub async fn export(self: &Arc<Self>, owner: &Owner, addresses: bool) -> Result<Vec<ExportedFile>> {
+        let subject = if addresses { "with addresses" } else { "redacted" };
+        let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
+        Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
+    }
+
+    async fn whole(self: &Arc<Self>, addresses: bool) -> Result<Vec<u8>> {
+        blocking(self, move |log| {
+            let (mut pages, mut before) = (Vec::new(), None);
+            loop {
+                let page = log.lines.list(&AuditQuery { before, limit: PAGE, ..AuditQuery::default() })?;
+                let Some(first) = page.first() else { break };
+                before = Some(first.line);
+                pages.push(page);
+            }
+            let mut bytes = Vec::new();
+            for mut line in pages.into_iter().rev().flatten() {
+                if !addresses {
+                    line.entry.action = crate::model::redact_addresses(&line.entry.action);
+                    line.entry.subject = crate::model::redact_addresses(&line.entry.subject);
+                    line.entry.outcome = crate::model::redact_addresses(&line.entry.outcome);
+                }
+                serde_json::to_writer(&mut bytes, &line).map_err(|error| internal(error.to_string()))?;
+                bytes.push(b'\n');
+            }
+            Ok(bytes)
+        })
+        .await
+    }
+}
+
+fn entry(profile: &str, action: &str, subject: &str, outcome: &str) -> AuditEntry {
+    AuditEntry {
+        at: Timestamp::now(),
+        profile: clean(profile, 100),
+        action: clean(action, 100),
+        subject: clean(subject, 200),
+        outcome: clean(outcome, LONGEST_OUTCOME),
+    }
+}
+
+fn view(line: AuditLine) -> AuditView {
+    let by = clean(&line.entry.profile, 100);
+    let (profile, operator) = match by.split_once('/') {
+        Some((profile, operator)) => (profile.to_owned(), Some(operator.to_owned())),
+        None => (by, None),
+    };
+    AuditView {
+        line: line.line,
+        at: line.entry.at,
+        profile,
+        operator,
+        action: clean(&line.entry.action, 100),
+        subject: clean(&line.entry.subject, 200),
+        outcome: clean(&line.entry.outcome, LONGEST_OUTCOME),
+    }
+}
+
+fn query_text(query: &UploadQuery) -> String {
+    let mut words = vec!["records".to_owned()];
+    words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));
+    words.extend(query.topic.as_ref().map(|topic| format!("topic {topic}")));
+    words.extend(query.robot.as_ref().map(|robot| format!("robot {}", clean(robot, 64))));
+    words.extend(query.type_name.as_ref().map(|name| format!("type {name}")));
+    words.extend(query.words.iter().map(|word| format!("with {}", clean(word, 40))));
+    words.extend(query.tags.iter().map(|(name, value)| format!("tag {}={}", clean(name, 40), clean(value, 40))));
+    words.extend(query.incident.as_ref().map(|name| format!("incident {name}")));
+    words.extend(query.kind.map(|kind| format!("kind {}", kind.word())));
+    words.extend(query.state.map(|state| format!("state {}", state.word())));
+    words.extend(query.since.map(|since| format!("since {since}")));
+    words.extend(query.until.map(|until| format!("until {until}")));
+    words.extend(query.after.as_ref().map(|after| format!("after {}", clean(after, 40))));
+    words.join(" ")
+}
 
 #[cfg(test)]
 mod refusals_tests {

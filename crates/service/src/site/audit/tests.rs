@@ -1,10 +1,9 @@
 //! The log of deeds: written before the deed, bounded against floods, and handed out without addresses.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
+use crate::command::UploadQuery;
 use crate::model::{Address, Timestamp};
-use crate::service::command::UploadQuery;
-use crate::service::failure::refused;
-use crate::service::reply::Result;
+use crate::reply::{Result, refused};
 use crate::site::testing::{Ground, profile};
 use crate::store::AuditQuery;
 
@@ -12,10 +11,10 @@ use crate::store::AuditQuery;
 async fn a_deed_is_announced_and_its_end_is_told_also_where_it_failed() {
     let ground = Ground::with(&[]);
     let (log, owner) = (&ground.parts.log, ground.owner("alice"));
-    log.begin(&owner, "grant", "bob").await.expect("announced");
-    let done: Result<u8> = log.end(&owner, "grant", "bob", Ok(7)).await;
+    log.write(&owner.profile, "grant", "bob", "begun").await.expect("announced");
+    let done: Result<u8> = log.ended(&owner.profile, "grant", "bob", Ok(7)).await;
     assert_eq!(done.expect("the deed's own outcome"), 7);
-    let failed: Result<u8> = log.end(&owner, "grant", "bob", Err(refused("no"))).await;
+    let failed: Result<u8> = log.ended(&owner.profile, "grant", "bob", Err(refused("no"))).await;
     assert_eq!(failed.expect_err("the deed's own failure").message, "no");
     let outcomes: Vec<_> = ground.audited("grant").into_iter().map(|(_, outcome)| outcome).collect();
     assert_eq!(outcomes, ["begun", "done", "failed: no"]);
@@ -65,7 +64,7 @@ async fn lists_begin_with_the_newest_line_and_what_is_handed_out_names_no_accoun
     assert_eq!(subjects, ["last".to_owned(), account.to_string()]);
     assert!(listed.iter().all(|line| line.at <= Timestamp::now()));
 
-    let text = |files: Vec<crate::service::reply::ExportedFile>| {
+    let text = |files: Vec<crate::reply::ExportedFile>| {
         files.into_iter().map(|file| String::from_utf8(file.bytes).expect("text")).collect::<String>()
     };
     let redacted = text(log.export(&owner, false).await.expect("a file"));

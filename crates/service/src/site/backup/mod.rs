@@ -3,9 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use crate::site::parts::Parts;
-use crate::site::progress::Run;
-use crate::site::quarantine::Quarantine;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -14,15 +11,15 @@ use std::time::Duration;
 
 use tokio::runtime::Handle;
 
-use super::blocking;
 use crate::chain::Chain;
+use crate::command::SecretText;
 use crate::crypto::sealed_stream::SealedWriter;
 use crate::crypto::unfinished::{self, UnfinishedFolder};
 use crate::crypto::{Passphrase, fault};
 use crate::model::{ErrorKind, ProfileName, clean};
-use crate::service::command::SecretText;
-use crate::service::failure::input;
-use crate::service::reply::{BackupView, Failure, Result};
+use crate::reply::{BackupView, Failure, Result, input};
+use crate::site::parts::Run;
+use crate::site::{Parts, Quarantine, blocking};
 use crate::store::snapshot::Snapshot;
 use crate::store::{StoreError, archive};
 
@@ -40,12 +37,7 @@ pub struct Backup {
 
 impl Backup {
     /// Writes a new file, 0600; a crash leaves none.
-    pub async fn back_up(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        file: PathBuf,
-        secret: SecretText,
-    ) -> Result<BackupView> {
+    pub async fn back_up(self: &Arc<Self>, by: &ProfileName, file: PathBuf, secret: SecretText) -> Result<BackupView> {
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
         let shown = clean(&file.display().to_string(), 200);
         if file.starts_with(self.parts.home.root())
@@ -58,7 +50,7 @@ impl Backup {
         if fs::symlink_metadata(&file).is_ok() {
             return Err(input(format!("{shown} already exists; choose a new file, backups are never overwritten")));
         }
-        let running = self.parts.runs.begin(profile, &shown, "copying into", "files");
+        let running = self.parts.runs.begin(by, &shown, "copying into", "files");
         let runtime = Handle::current();
         let written = async {
             // While an embedded chain opens, its file is locked and no connection has it.
@@ -71,7 +63,7 @@ impl Backup {
             drop(quiet);
             blocking(self, move |backup| backup.pack(&moment, &file, &passphrase, &running.run)).await
         };
-        self.parts.log.deed(profile, "back up", &shown, written).await
+        self.parts.log.deed(by, "back up", &shown, written).await
     }
 
     fn moment(&self, runtime: &Handle) -> Result<Moment> {

@@ -2,16 +2,14 @@
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::os::unix::fs::PermissionsExt as _;
-
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::*;
 use crate::crypto::sealed_stream::SealedReader;
 use crate::model::{Digest, RecorderPrefix, RingLimits, RingSpan, Signature, Timestamp, TopicId, TopicPatterns};
-use crate::site::contacts::Contacts;
-use crate::site::reading::Reading;
 use crate::site::testing::{Ground, PASSPHRASE, profile};
+use crate::site::{Contacts, Reading};
 use crate::store::{DiskRing, RingRecord};
 
 fn backup(ground: &Ground) -> (Arc<Backup>, Arc<Quarantine>) {

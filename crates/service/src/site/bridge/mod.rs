@@ -1,30 +1,29 @@
 //! Publishes checked, shared records in the reader's ROS.
 
-mod feed;
 mod play;
 mod target;
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
+use target::{Domain, Stage, Target};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
+use crate::command::{Pace, PlayWishes};
 use crate::config::PublishedBy;
 use crate::crypto::random_bytes;
-use crate::model::bytes::hex;
-use crate::model::{Address, ErrorKind, ProfileName, Scope, TopicName, clean};
-use crate::pipeline::{Network, Owner, PipelineError, authority};
+use crate::model::{
+    Address, Digest, ErrorKind, ProfileName, RecordKind, RecordState, Scope, Timestamp, TopicId, TopicName, clean, hex,
+    locked,
+};
+use crate::pipeline::{Network, Owner, PipelineError, authority, is_held};
+use crate::reply::{Failure, Result, input, refused};
 use crate::ros::ros2::Ros2Publisher;
 use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher, UNCONFINED};
-use crate::service::command::{Pace, PlayWishes};
-use crate::service::failure::{input, refused};
-use crate::service::reply::{Failure, Result};
-use crate::site::capture::ros::RosSide;
-use crate::site::contacts::Contacts;
-use crate::site::parts::Parts;
-
-use target::{Domain, Stage, Target};
+use crate::site::{Contacts, Parts, RosSide};
+use crate::store::{Counts, FeedFilter, FeedPlace, FeedRow, Ledger, PlacedRecord, RecordQuery, RecordRow, Records};
 
 const NODE: &str = "/authros_play_";
 
@@ -45,7 +44,7 @@ impl Bridge {
     }
 
     pub fn stop(&self, profile: &ProfileName) {
-        let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let running = locked(&self.running);
         running.iter().filter(|(owner, _)| owner == profile).for_each(|(_, stop)| {
             stop.send_replace(true);
         });
@@ -53,7 +52,7 @@ impl Bridge {
 
     fn listed(&self, profile: &ProfileName) -> watch::Receiver<bool> {
         let (stop, stopped) = watch::channel(false);
-        let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut running = locked(&self.running);
         running.retain(|(_, stop)| !stop.is_closed());
         running.push((profile.clone(), stop));
         stopped
@@ -144,7 +143,7 @@ fn consistent(wishes: &PlayWishes) -> Result<()> {
         Pace::AtOnce | Pace::Follow if wishes.clock => {
             Err(input("/clock gives the capture time, so it needs --as-captured or --rate"))
         }
-        _ => Ok(()),
+        Pace::AtOnce | Pace::Follow | Pace::Rated { .. } => Ok(()),
     }
 }
 
@@ -197,6 +196,224 @@ fn is_under(prefix: &str, name: &str) -> bool {
     name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with('/'))
 }
 
+const PAGE: usize = 500;
+
+/// How far back a live feed looks for unverified records at its start, nanoseconds.
+const BEFORE: u64 = 60_000_000_000;
+
+/// How much later than its neighbours a record may enter the ledger and still be seen, nanoseconds.
+const SLACK: u64 = 500_000_000;
+
+/// Interval between looks for records later than [`SLACK`].
+const LATE_LOOK: Duration = Duration::from_secs(1);
+const MOST_PASSED: usize = 20_000;
+
+const LISTING: Duration = Duration::from_millis(500);
+
+pub(super) struct Item {
+    pub row: RecordRow,
+    /// Verified before a live feed began: played only if its publisher latches.
+    pub only_latched: bool,
+}
+
+pub(super) enum Feed {
+    Past(Box<RecordQuery>),
+    Live(Live),
+}
+
+#[derive(Default)]
+pub(super) struct Live {
+    streams: HashMap<(Address, TopicId), Stream>,
+    listed: Option<Instant>,
+    looked_late: Option<Instant>,
+    place: Option<([u8; 16], u64)>,
+    /// The newest records given out behind their streams; if verified again, they are not repeated.
+    passed: VecDeque<Digest>,
+    /// Records that must wait; their streams wait for them.
+    pending: Vec<Item>,
+}
+
+#[derive(Default)]
+struct Stream {
+    /// Nothing captured before this is played.
+    floor: Timestamp,
+    /// Everything before this was given out.
+    low: Timestamp,
+    newest: Timestamp,
+    done: HashMap<Digest, Timestamp>,
+}
+
+impl Feed {
+    pub fn begin(ledger: &Ledger, wishes: &PlayWishes, givers: &Givers) -> Result<Self> {
+        if wishes.pace == Pace::Follow {
+            return Ok(Self::Live(Live::default()));
+        }
+        let mut ids = Vec::new();
+        for (owner, scope) in givers {
+            ids.extend(topics_of(&ledger.counts, *owner, scope)?);
+        }
+        Ok(Self::Past(Box::new(RecordQuery {
+            owners: Some(givers.keys().copied().collect()),
+            topic_ids: Some(ids),
+            kind: Some(RecordKind::Data),
+            since: wishes.since,
+            until: wishes.until,
+            limit: PAGE,
+            ..RecordQuery::default()
+        })))
+    }
+
+    /// The next records, and whether they are the last.
+    pub fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool)> {
+        match self {
+            Self::Past(query) => {
+                let page = ledger.records.list(query)?;
+                let items = page.rows.into_iter().map(|row| Item { row, only_latched: false }).collect();
+                query.after = page.next;
+                Ok((items, query.after.is_none()))
+            }
+            Self::Live(live) => live.next(ledger, givers),
+        }
+    }
+
+    pub fn again(&mut self, item: Item) {
+        if let Self::Live(live) = self {
+            live.pending.push(item);
+        }
+    }
+}
+
+impl Live {
+    fn next(&mut self, ledger: &Ledger, givers: &Givers) -> Result<(Vec<Item>, bool)> {
+        if self.place.is_none() {
+            let page = ledger.feed.page(&[0; 16], &FeedFilter::default(), 1)?;
+            self.place = Some((page.id, page.head));
+        }
+        let mut items = std::mem::take(&mut self.pending);
+        items.retain(|item| givers.contains_key(&item.row.owner));
+        let held: HashSet<_> = items.iter().map(|item| (item.row.owner, item.row.topic_id)).collect();
+        self.streams.retain(|(owner, _), _| givers.contains_key(owner));
+        if self.listed.is_none_or(|at| at.elapsed() >= LISTING) {
+            items.extend(self.list(ledger, givers)?);
+            self.listed = Some(Instant::now());
+        }
+        let mut ready = Vec::new();
+        if self.looked_late.is_none_or(|at| at.elapsed() >= LATE_LOOK) {
+            self.looked_late = Some(Instant::now());
+            self.look_late(ledger, givers, &mut ready)?;
+        }
+        for (key, stream) in self.streams.iter_mut().filter(|(key, _)| !held.contains(key)) {
+            stream.take(&ledger.records, *key, &mut ready)?;
+        }
+        // Stable sort: records of one moment keep the order of their stream.
+        ready.sort_by_key(|row: &RecordRow| row.captured_at);
+        items.extend(ready.into_iter().map(|row| Item { row, only_latched: false }));
+        Ok((items, false))
+    }
+
+    fn look_late(&mut self, ledger: &Ledger, givers: &Givers, ready: &mut Vec<RecordRow>) -> Result<()> {
+        let mut passed: Option<HashSet<Digest>> = None;
+        loop {
+            let (id, after) = self.place.unwrap_or_default();
+            let places = givers.keys().map(|owner| FeedPlace { owner: *owner, after, topics: None }).collect();
+            let filter = FeedFilter { places, kind: Some(RecordKind::Data), recorders: Vec::new() };
+            let page = ledger.feed.page(&id, &filter, PAGE)?;
+            for FeedRow { placed: PlacedRecord { row, .. }, .. } in page.rows {
+                let stream = self.streams.get_mut(&(row.owner, row.topic_id));
+                let is_late = |one: &&mut Stream| row.captured_at >= one.floor && row.captured_at < one.low;
+                if let Some(stream) = stream.filter(is_late)
+                    && !passed.get_or_insert_with(|| self.passed.iter().copied().collect()).contains(&row.digest)
+                    && stream.done.insert(row.digest, row.captured_at).is_none()
+                {
+                    ready.push(row);
+                }
+            }
+            self.place = Some((page.id, page.upto));
+            if page.upto == page.head {
+                break;
+            }
+        }
+        // Records behind the stream's place cannot recur, unless a reorganisation verifies them again.
+        for stream in self.streams.values_mut() {
+            self.passed.extend(stream.done.extract_if(|_, at| *at < stream.low).map(|(digest, _)| digest));
+        }
+        self.passed.drain(..self.passed.len().saturating_sub(MOST_PASSED));
+        Ok(())
+    }
+
+    /// At the start, only the newest verified record of each stream is given out, to be latched.
+    fn list(&mut self, ledger: &Ledger, givers: &Givers) -> Result<Vec<Item>> {
+        let is_first = self.listed.is_none();
+        let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
+        let mut latched = Vec::new();
+        for (owner, scope) in givers {
+            for topic in topics_of(&ledger.counts, *owner, scope)? {
+                if self.streams.contains_key(&(*owner, topic)) {
+                    continue;
+                }
+                let mut stream = Stream { floor: low, low, ..Stream::default() };
+                if is_first {
+                    latched.extend(stream.skip_verified(&ledger.records, (*owner, topic))?);
+                }
+                self.streams.insert((*owner, topic), stream);
+            }
+        }
+        Ok(latched)
+    }
+}
+
+impl Stream {
+    fn skip_verified(&mut self, records: &Records, key: (Address, TopicId)) -> Result<Option<Item>> {
+        let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
+        for row in records.all(RecordQuery { since: Some(self.low), ..verified.clone() }) {
+            let row = row?;
+            self.done.insert(row.digest, row.captured_at);
+        }
+        let newest = records.list(&RecordQuery { newest_first: true, limit: 1, ..verified })?;
+        Ok(newest.rows.into_iter().next().map(|row| Item { row, only_latched: true }))
+    }
+
+    /// Stops at the first unsettled record, to preserve the order.
+    fn take(&mut self, records: &Records, key: (Address, TopicId), ready: &mut Vec<RecordRow>) -> Result<()> {
+        let query = RecordQuery { since: Some(self.low.max(self.floor)), ..of_stream(key) };
+        let (mut waiting, most, now) = (None, ready.len() + PAGE, Timestamp::now());
+        for row in records.all(query) {
+            let row = row?;
+            if self.done.contains_key(&row.digest) || is_held(&row) || row.state == RecordState::RightEnded {
+                continue;
+            }
+            if row.state.is_pending() || ready.len() >= most {
+                waiting = Some(row.captured_at);
+                break;
+            }
+            self.done.insert(row.digest, row.captured_at);
+            // A publisher's clock that is ahead must not push other records behind.
+            self.newest = self.newest.max(row.captured_at.min(now));
+            ready.push(row);
+        }
+        let settled = Timestamp(self.newest.0.saturating_sub(SLACK)).max(self.low);
+        self.low = waiting.map_or(settled, |waiting| settled.min(waiting));
+        Ok(())
+    }
+}
+
+fn of_stream((owner, topic): (Address, TopicId)) -> RecordQuery {
+    RecordQuery {
+        owner: Some(owner),
+        topic_ids: Some(vec![topic]),
+        kind: Some(RecordKind::Data),
+        limit: PAGE,
+        ..RecordQuery::default()
+    }
+}
+
+fn topics_of(counts: &Counts, owner: Address, scope: &Scope) -> Result<Vec<TopicId>> {
+    Ok(match scope {
+        Scope::Topics(topics) => Vec::clone(topics),
+        Scope::All => counts.by_state(Some(owner))?.topics.iter().filter_map(|topic| topic.topic_id).collect(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -230,5 +447,71 @@ mod tests {
     #[test]
     fn one_topic_has_one_name() {
         assert!(names(None, &["/a:=/b", "/a:=/c"]).is_err());
+    }
+}
+
+#[cfg(test)]
+mod feed_tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use super::*;
+    use crate::model::{Signature, SignerId};
+    use crate::store::{KeptReceipt, NewRecord};
+
+    const OWNER: Address = Address([1; 20]);
+
+    fn keep(ledger: &Ledger, seq: u64, captured_at: Timestamp) {
+        let digest = Digest([u8::try_from(seq).expect("small"); 32]);
+        let record = NewRecord {
+            digest,
+            owner: OWNER,
+            topic_id: TopicId([2; 16]),
+            seq,
+            foreign: None,
+            epoch: 1,
+            kind: RecordKind::Data,
+            signer: SignerId([3; 32]),
+            signature: Signature([4; 64]),
+            filters: Vec::new(),
+            topic: "/odom".to_owned(),
+            type_name: "nav_msgs/Odometry".to_owned(),
+            bytes: 5,
+            captured_at,
+            simulated: false,
+            state: RecordState::Stored,
+            blob: None,
+        };
+        ledger.records.append(vec![record]).expect("acknowledged");
+        let receipt = KeptReceipt { time: captured_at, digests: vec![digest], signature: Signature([5; 64]) };
+        assert_eq!(ledger.forwarding.accept(receipt), Ok(1));
+        assert_eq!(ledger.forwarding.settle(&[digest], RecordState::Verified), Ok(1));
+    }
+
+    #[test]
+    fn what_comes_far_behind_its_stream_is_played_once() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        let begun = Timestamp::now().0;
+        let at = |seconds: u64| Timestamp(begun - 59_000_000_000 + seconds * 1_000_000_000);
+        let (mut live, givers) = (Live::default(), [(OWNER, Scope::All)].into());
+        let played = |live: &mut Live| -> Vec<u64> {
+            live.looked_late = None;
+            let (items, _) = live.next(&ledger, &givers).expect("read");
+            items.iter().map(|item| item.row.seq).collect()
+        };
+        assert_eq!(played(&mut live), [0; 0]);
+        keep(&ledger, 1, at(1));
+        live.listed = None;
+        // The newest of what was there when it is listed first may be latched.
+        played(&mut live);
+        keep(&ledger, 2, at(50));
+        assert_eq!(played(&mut live), [2]);
+        assert_eq!(played(&mut live), [0; 0]);
+        keep(&ledger, 3, at(2));
+        assert_eq!(played(&mut live), [3], "48 seconds behind its stream");
+        assert_eq!(played(&mut live), [0; 0]);
+        // Verified again after a reorganisation: another number, the same record.
+        live.place = live.place.map(|(id, _)| (id, 0));
+        assert_eq!(played(&mut live), [0; 0]);
     }
 }

@@ -9,12 +9,11 @@ use tokio::task::block_in_place;
 use super::{NODE, is_under};
 use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::importer;
+use crate::reply::{Failure, PlayEnd, Result, internal, refused};
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
 use crate::ros::ros2::{Delivery, Offer, Offered, QUALITY, Ros2Publisher};
 use crate::ros::{Advertised, Graph, GraphPublisher, RosError, md5sum};
-use crate::service::failure::{internal, refused};
-use crate::service::reply::{Failure, PlayEnd, Result};
 
 /// How long playing waits for known subscribers, in total.
 const WELCOME: Duration = Duration::from_secs(5);

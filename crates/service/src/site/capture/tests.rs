@@ -1,12 +1,10 @@
 //! Watch lists and captures, each profile's own.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
-use super::ros::RosSide;
-use super::watches::Watches;
 use super::*;
-use crate::pipeline::Recorder;
-use crate::pipeline::ring::Rings;
+use crate::pipeline::{Recorder, Rings};
 use crate::site::testing::{Ground, profile, site_with_chain};
+use crate::site::{RosSide, Watches};
 
 fn watches(ground: &Ground) -> Arc<Watches> {
     let rings = Arc::new(Rings::new(1 << 20));
@@ -64,7 +62,7 @@ async fn a_joined_home_says_that_it_captures_nothing() {
     let needs = crate::site::Needs { ros: false, chain: false };
     let (site, _folder) = crate::site::testing::site_of(&joined, needs);
     let alice = crate::site::testing::profile("alice");
-    let secret = crate::service::command::SecretText::new(crate::site::testing::PASSPHRASE.to_owned());
+    let secret = crate::command::SecretText::new(crate::site::testing::PASSPHRASE.to_owned());
     site.profiles.create(alice.clone(), secret).await.expect("an identity");
     let owner = site.unlocked(&alice).expect("open");
     let topics = ["/odom".parse().expect("a topic")];

@@ -1,18 +1,17 @@
 //! The administrator's acts, and reports of successions.
 
-use crate::site::contacts::Contacts;
-use crate::site::parts::Parts;
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use crate::chain::Call;
+use crate::command::Administration;
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Party, Timestamp, counted};
 use crate::pipeline::{Network, Owner};
-use crate::service::command::Administration;
-use crate::service::event::Part;
-use crate::service::failure::refused;
-use crate::service::reply::{AdministrationView, ProposalView, RecoveryView, Result, SuccessionView, TransactionView};
+use crate::reply::{
+    AdministrationView, Part, ProposalView, RecoveryView, Result, SuccessionView, TransactionView, refused,
+};
+use crate::site::{Contacts, Parts};
 
 /// Default length of a pause, seconds.
 const PAUSE: u64 = 86_400;

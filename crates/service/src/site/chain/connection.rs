@@ -11,16 +11,12 @@ use crate::chain::{
     Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, LONGEST_DELAY, Pin, SHORTEST_DELAY, serve,
 };
 use crate::config::Config;
-use crate::event::NoticeLevel;
-use crate::failure::{input, refused};
 use crate::model::ProfileName;
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, PipelineError, network_pin, network_pin_in, watcher};
-use crate::reply::{DeployedView, Failure, Result, ServedView};
-use crate::site::NetworkState;
+use crate::reply::{DeployedView, Failure, NoticeLevel, Result, ServedView, input, refused};
 use crate::site::chain::link::ABOUT;
-use crate::site::mirror::remote::Remote;
-use crate::site::parts::Parts;
+use crate::site::{NetworkState, Parts, Remote};
 
 /// Seconds between attempts: the longest wait for a node that is back.
 const LONGEST_PAUSE: u64 = 5;

@@ -2,19 +2,20 @@
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
 use crate::chain::{BlockRef, Chain, MEASURED};
-use crate::event::{NoticeLevel, Part};
-use crate::failure::{input, internal};
+use crate::crypto::EoaSecret;
 use crate::hub::Hub;
-use crate::model::ErrorKind;
 use crate::model::steady_clock::look;
-use crate::pipeline::Network;
-use crate::reply::{Failure, Result};
+use crate::model::{Address, Domain, ErrorKind, locked};
+use crate::pipeline::anchorer::{self, MOST_LANES};
+use crate::pipeline::{LaneState, Network, Owner};
+use crate::reply::{Failure, NoticeLevel, Part, Result, input, internal, refused};
+use crate::site::Parts;
 
 /// Subject of notices about the chain: the health's part.
 pub const ABOUT: &str = "chain";
@@ -80,7 +81,7 @@ impl Link {
 
     pub fn set(&self, state: NetworkState) {
         // It may be another chain, or another node.
-        *self.freshness() = Freshness::default();
+        *locked(&self.freshness) = Freshness::default();
         self.state.send_replace(state);
         self.changed();
     }
@@ -142,38 +143,34 @@ impl Link {
         }
     }
 
-    fn freshness(&self) -> MutexGuard<'_, Freshness> {
-        self.freshness.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Everything up to `head` was read; the chain reported it when asked at `asked`.
     pub fn saw_head(&self, head: BlockRef, asked: Instant) {
-        *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
-        self.freshness().read(head, asked, look().machine.seconds());
+        *locked(&self.head) = Some((Instant::now(), head));
+        locked(&self.freshness).read(head, asked, look().machine.seconds());
     }
 
     pub fn view(&self) -> Result<BlockRef, NotFresh> {
-        self.freshness().judge(Instant::now())
+        locked(&self.freshness).judge(Instant::now())
     }
 
     pub fn is_named(&self, head: &BlockRef, asked: Instant) -> bool {
-        self.freshness().is_named(head, asked)
+        locked(&self.freshness).is_named(head, asked)
     }
 
     pub async fn measure(&self, chain: &Chain) {
-        if self.freshness().is_to_measure() {
+        if locked(&self.freshness).is_to_measure() {
             // Other checks notice a silent node.
             let due = chain.due_within().await.unwrap_or_default();
-            self.freshness().measured(due);
+            locked(&self.freshness).measured(due);
         }
     }
 
     pub fn newest_head(&self) -> Option<BlockRef> {
-        self.head.lock().unwrap_or_else(PoisonError::into_inner).map(|(_, head)| head)
+        locked(&self.head).map(|(_, head)| head)
     }
 
     pub fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
-        let seen = *self.head.lock().unwrap_or_else(PoisonError::into_inner);
+        let seen = *locked(&self.head);
         seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
     }
 
@@ -322,6 +319,138 @@ impl Freshness {
             return Err(NotFresh::Behind { block });
         }
         Ok(seen.head)
+    }
+}
+
+const LOOK: Duration = Duration::from_secs(2);
+
+type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pause {
+    pub text: String,
+    /// Somebody has to do something about it.
+    pub is_alarm: bool,
+}
+
+pub struct Lanes {
+    parts: Parts,
+    extra: Mutex<Derived>,
+}
+
+impl Lanes {
+    pub fn new(parts: &Parts) -> Self {
+        Self { parts: parts.clone(), extra: Mutex::default() }
+    }
+
+    fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>> {
+        let mut known = locked(&self.extra);
+        let key = (owner.address, network.domain);
+        if let Some(found) = known.get(&key) {
+            return Ok(Arc::clone(found));
+        }
+        let keys = anchorer::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
+        known.insert(key, Arc::clone(&found));
+        Ok(found)
+    }
+
+    pub fn of(&self, owner: &Owner, network: &Network) -> Result<Vec<EoaSecret>> {
+        let mut lanes = vec![owner.eoa()];
+        if self.parts.config.lanes > 1 {
+            let wanted = usize::from(self.parts.config.lanes) - 1;
+            let extra = self.extra(owner, network)?;
+            let ready = extra.iter().take(wanted).filter(|(account, _)| network.directory.identity(*account).is_ok());
+            lanes.extend(ready.map(|(_, key)| key.clone()));
+        }
+        Ok(lanes)
+    }
+
+    /// Also finds extra accounts that the settings no longer use; `None` = the owner's own.
+    pub fn key(&self, owner: &Owner, network: &Network, account: Option<Address>) -> Result<EoaSecret> {
+        let Some(account) = account.filter(|account| *account != owner.address) else { return Ok(owner.eoa()) };
+        let extra = self.extra(owner, network)?;
+        let found = extra.iter().find(|(other, _)| *other == account).map(|(_, key)| key.clone());
+        found.ok_or_else(|| {
+            refused(format!(
+                "{account} does not anchor for {}; `authros chain status` lists the accounts that do",
+                owner.profile
+            ))
+        })
+    }
+
+    pub fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>> {
+        let mut states = vec![self.parts.sender.state_of(owner.address)?];
+        let wanted = usize::from(self.parts.config.lanes).saturating_sub(1);
+        for (index, (account, _)) in self.extra(owner, network)?.iter().enumerate() {
+            let state = self.parts.sender.state_of(*account)?;
+            if index < wanted || state.open > 0 {
+                states.push(state);
+            }
+        }
+        Ok(states)
+    }
+
+    /// What pauses each open owner's lanes; the worst, if several are paused.
+    pub fn pauses(&self, network: &Network) -> Vec<(Address, Option<Pause>)> {
+        let pause = |owner: &Arc<Owner>| {
+            let lanes = self.lane_states(owner, network).unwrap_or_default().into_iter();
+            let paused = lanes.filter_map(|lane| {
+                let reason = lane.paused?;
+                Some(Pause { text: reason.text(lane.account), is_alarm: reason.is_alarm() })
+            });
+            (owner.address, paused.max_by_key(|pause| pause.is_alarm))
+        };
+        self.parts.owners.all().iter().map(pause).collect()
+    }
+
+    pub async fn tend(&self, network: &Network) {
+        for owner in self.parts.owners.all() {
+            if let Err(failure) = self.tend_lanes_of(&owner, network).await {
+                let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
+                tell_trouble(&self.parts.hub, failure.kind, &text);
+            }
+        }
+    }
+
+    async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<()> {
+        let mut keys = vec![owner.eoa()];
+        for (account, key) in self.extra(owner, network)?.iter() {
+            // Includes those above a lowered setting.
+            let state = self.parts.sender.state_of(*account)?;
+            if state.open > 0 || state.paused.is_some() {
+                keys.push(key.clone());
+            }
+        }
+        for key in keys {
+            for reason in self.parts.sender.tend(&network.chain, &key).await? {
+                self.parts.hub.alarm(&format!("the contract rejected a transaction of {}: {reason}", owner.profile));
+            }
+        }
+        Ok(())
+    }
+
+    pub async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
+        while !self.parts.life.is_stopping() && self.parts.owners.is_open(&owner) {
+            if let Some(network) = self.parts.link.network_now()
+                && network.directory.identity(owner.address).is_ok()
+                && let Err(failure) = self.ready_extra(&owner, &network).await
+            {
+                let text = format!("an extra anchoring account of {} is not ready: {}", owner.profile, failure.message);
+                self.parts.hub.warn(&text);
+            }
+            if !self.parts.life.beat(LOOK).await {
+                return;
+            }
+        }
+    }
+
+    async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<()> {
+        let wanted = usize::from(self.parts.config.lanes) - 1;
+        for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
+            anchorer::ensure_ready(&self.parts.plant, network, &self.parts.sender, owner, key).await?;
+        }
+        Ok(())
     }
 }
 

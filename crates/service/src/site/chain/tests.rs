@@ -4,12 +4,12 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::connection::Connection;
-use super::link::{Link, NetworkState, NotFresh};
+use super::link::{Link, NotFresh};
 use crate::chain::{BlockRef, Pin};
 use crate::model::{Address, ErrorKind, Hash};
-use crate::service::failure::refused;
+use crate::reply::refused;
 use crate::site::testing::Ground;
+use crate::site::{Connection, NetworkState};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_asks_waits_for_the_first_attempt_and_then_hears_why_there_is_no_chain() {

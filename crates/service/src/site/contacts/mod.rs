@@ -3,7 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use crate::site::parts::Parts;
 use std::collections::BTreeMap;
 
 use tokio::task::block_in_place;
@@ -11,9 +10,8 @@ use tokio::task::block_in_place;
 use crate::crypto::Fingerprint;
 use crate::model::{Address, ContactName, Party, ProfileName, natural};
 use crate::pipeline::Network;
-use crate::service::event::Part;
-use crate::service::failure::{input, refused};
-use crate::service::reply::{CompareView, ContactRow, Result};
+use crate::reply::{CompareView, ContactRow, Part, Result, input, refused};
+use crate::site::Parts;
 use crate::store::notes::{AddressBook, Contact, WrappedFor};
 
 const MOST_CONTACTS: usize = 1_000;

@@ -1,24 +1,24 @@
 //! Notices from owners to robots. A function of the ledger: each run does what is left.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolments, Step, is_lent};
-use super::{Devices, Seat};
+use super::Seat;
+use super::enrolled::{Step, is_lent};
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
-use crate::failure::{input, internal, refused};
 use crate::gateway::{Cabinet, Context, Upload};
-use crate::model::{PublicKey, RecordKind, RecorderId, Timestamp, clean};
+use crate::model::{ErrorKind, PublicKey, RecordKind, RecorderId, Timestamp, clean, locked};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
-use crate::reply::{DeviceAddressesView, Failure, Result};
+use crate::reply::{DeviceAddressesView, Failure, Result, TransactionView, input, internal, refused};
 use crate::site::gateway::desk::courier_of;
+use crate::site::{Devices, Enrolments};
 use crate::store::notes::{Enrolled, EnrolledGateway, KeysTold, NoticesCarried, OwnerKeysTold};
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::{NewestRecord, RecordQuery, RecordRow};
 
 /// Pauses between rounds: with notices left, and without.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
@@ -50,7 +50,7 @@ impl Devices {
             let listed = (gateway.key, gateway.addresses.clone());
             let list = GatewayAddresses::sign(&network.domain, &owner.eoa(), device, listed)?;
             let (epoch, notice) = (network.directory.epoch(owner.address), Notice::Addresses(list));
-            block_in_place(|| self.enrolments.seal_notice(owner, &network, &enrolled, epoch, &notice))?;
+            block_in_place(|| self.enrolments.seal(owner, &network, &enrolled, epoch, &notice))?;
             // After the notice: an interruption in between repeats it.
             self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
         };
@@ -198,7 +198,7 @@ impl Enrolments {
         let keys = self.issue(owner, network, device)?;
         let told = self.parts.plant.ledger.notes.read(&keys_told(owner, device))?;
         if told.as_deref() != Some(summary(&keys).as_str()) {
-            self.seal_notice(owner, network, device, keys.now.epoch, &Notice::Keys(keys.clone()))?;
+            self.seal(owner, network, device, keys.now.epoch, &Notice::Keys(keys.clone()))?;
             self.note_told(owner, device, &keys)?;
         }
         Ok(())
@@ -214,7 +214,7 @@ impl Enrolments {
             if self.parts.plant.ledger.notes.read(&note)? == Some(told) {
                 continue;
             }
-            self.seal_notice(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
+            self.seal(owner, network, &device, epoch, &Notice::OwnerKey(change))?;
             self.parts.plant.ledger.notes.write(&note, &told)?;
         }
         Ok(())
@@ -224,22 +224,15 @@ impl Enrolments {
         // A robot accepts notices of its own epoch or later.
         let known = network.directory.epoch(owner.address);
         let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
-        self.seal_notice(owner, network, device, epoch, notice)
+        self.seal(owner, network, device, epoch, notice)
     }
 
     pub fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<()> {
         Ok(self.parts.plant.ledger.notes.write(&keys_told(owner, device), &summary(keys))?)
     }
 
-    fn seal_notice(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        device: &Enrolled,
-        epoch: u64,
-        notice: &Notice,
-    ) -> Result<()> {
-        let _alone = self.sealing.lock().unwrap_or_else(PoisonError::into_inner);
+    fn seal(&self, owner: &Owner, network: &Network, device: &Enrolled, epoch: u64, notice: &Notice) -> Result<()> {
+        let _alone = locked(&self.sealing);
         let (name, body) = (notice_topic(&device.device), notice.encode());
         let speaker = Speaker {
             domain: network.domain,
@@ -269,4 +262,100 @@ fn summary(keys: &IssuedKeys) -> String {
     let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));
     let topics = keys.now.key.topics().map_or(String::new(), |topics| format!("/{}", topics.len()));
     format!("{}/{}/{}/{}{topics}", keys.now.epoch, moment(keys.now.ends), next.0, next.1)
+}
+
+/// How long a working robot may stay in an older epoch.
+const BOUND: Duration = Duration::from_secs(12);
+/// How long to wait for a robot that fell silent.
+const SILENCE: Duration = Duration::from_secs(3);
+const LOOK: Duration = Duration::from_millis(200);
+/// Nanoseconds; a robot whose newest record is older is not at work.
+const AT_WORK: u64 = 10_000_000_000;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pace {
+    Settled,
+    Silent,
+    Behind,
+}
+
+impl Pace {
+    /// `begun` is when the owner told the robot of `epoch`.
+    fn of(newest: Option<NewestRecord>, epoch: u64, begun: Timestamp) -> Self {
+        let Some(newest) = newest.filter(|newest| newest.epoch < epoch) else { return Self::Settled };
+        let heard = newest.acknowledged_at;
+        if newest.captured_at > begun && heard > begun && heard.0.saturating_add(AT_WORK / 2) > Timestamp::now().0 {
+            return Self::Behind;
+        }
+        let earliest = begun.0.saturating_sub(AT_WORK);
+        if newest.captured_at.0 > earliest && heard.0 > earliest { Self::Silent } else { Self::Settled }
+    }
+}
+
+impl Devices {
+    /// Announces the epoch of `deed`, and fails as [`ErrorKind::Incomplete`] if a working robot stays in an older one.
+    pub async fn lead(&self, owner: &Owner, deed: TransactionView) -> Result<TransactionView> {
+        let (begun, from) = (Timestamp::now(), Instant::now());
+        let incomplete = |text: String| Failure::new(ErrorKind::Incomplete, format!("{}; but {text}", deed.text));
+        let network = self.parts.link.network().await?;
+        block_in_place(|| self.enrolments.tell_devices(owner, &network))
+            .map_err(|failure| incomplete(failure.message))?;
+        let robots = self.enrolments.lent(owner, &network)?;
+        let pace = |robot: &Enrolled| {
+            let newest = self.parts.plant.ledger.counts.newest_of(owner.address, robot.device)?;
+            Ok((robot.name.to_string(), Pace::of(newest, deed.epoch, begun)))
+        };
+        loop {
+            let paces = block_in_place(|| robots.iter().map(pace).collect::<Result<Vec<_>>>())?;
+            let behind: Vec<String> =
+                paces.iter().filter(|(_, pace)| *pace == Pace::Behind).map(|(name, _)| format!("'{name}'")).collect();
+            let waits = paces.iter().any(|(_, pace)| *pace == Pace::Silent) && from.elapsed() < SILENCE;
+            if behind.is_empty() && (!waits || self.parts.life.is_stopping()) {
+                break;
+            }
+            if from.elapsed() >= BOUND || self.parts.life.is_stopping() {
+                let names = behind.join(", ");
+                return Err(incomplete(format!(
+                    "FAILED: {names} still seals under an older epoch {} s later; check `authros status` here and the \
+                     robot's own log, or revoke it too",
+                    from.elapsed().as_secs()
+                )));
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+        let Some(untold) = self.enrolments.untold(Some(owner.address)) else { return Ok(deed) };
+        let text = format!("{}; {untold}; they are notified as soon as their gateway can be reached", deed.text);
+        Ok(TransactionView { text, ..deed })
+    }
+
+    pub fn untold_text(&self) -> Option<String> {
+        self.enrolments.untold(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_is_behind_only_with_what_it_captured_since() {
+        let now = Timestamp::now();
+        let before = |seconds: u64| Timestamp(now.0 - seconds * 1_000_000_000);
+        let newest = |epoch, captured_at, acknowledged_at| Some(NewestRecord { epoch, captured_at, acknowledged_at });
+        let begun = before(4);
+        for (record, pace) in [
+            (None, Pace::Settled),
+            (newest(5, now, now), Pace::Settled),
+            (newest(4, now, now), Pace::Behind),
+            // Captured before, however late it came: an outbox is being emptied.
+            (newest(4, before(5), now), Pace::Silent),
+            (newest(4, before(3_600), now), Pace::Settled),
+            (newest(4, before(6), before(6)), Pace::Silent),
+            (newest(4, before(3_600), before(3_600)), Pace::Settled),
+            // Its clock is ahead, and it has been silent for long.
+            (newest(4, now, before(60)), Pace::Settled),
+        ] {
+            assert_eq!(Pace::of(record, 5, begun), pace, "{record:?}");
+        }
+    }
 }

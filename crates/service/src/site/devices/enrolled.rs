@@ -1,28 +1,27 @@
 //! An owner's enrolled robots, and the keys each seals under.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use super::{Devices, Seat};
+use super::Seat;
 use crate::command::{SecretBytes, SecretText};
 use crate::crypto::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
 use crate::crypto::{
     Enrolment, EpochIssue, IssuedKeys, IssuedTopic, Passphrase, SealedEnrolment, SealingKey, SmKeyPair, filter_key,
     notice_key, notice_topic, signer_id, topic_id, topic_key,
 };
-use crate::failure::{input, refused};
 use crate::gateway::{Context, DeviceNotice};
-use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean, natural};
+use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean, locked, natural};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
-use crate::reply::{DeviceTopicsView, EnrolledView, Failure, Result, RobotGatewayView};
+use crate::reply::{DeviceTopicsView, EnrolledView, Failure, Result, RobotGatewayView, input, refused};
 use crate::site::gateway::desk::is_reserved;
-use crate::site::parts::Parts;
-use crate::site::sharing::overdue::earliest_expiry;
+use crate::site::sharing::earliest_expiry;
+use crate::site::{Devices, Parts};
 use crate::store::Notes;
 use crate::store::notes::{Enrolled, EnrolledGateway, EnrolledRobots};
 
@@ -98,7 +97,7 @@ impl Enrolments {
     }
 
     pub fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
-        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut untold = locked(&self.untold);
         let place = (owner, robot.device, step);
         match why {
             Some(why) => drop(untold.insert(place, format!("'{}' ({})", robot.name, clean(&why, 300)))),
@@ -108,14 +107,14 @@ impl Enrolments {
 
     /// The robots of an owner, or of any, that lack a notice, in words; `None` if there are none.
     pub fn untold(&self, owner: Option<Address>) -> Option<String> {
-        let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let untold = locked(&self.untold);
         let lacking = untold.iter().filter(|((of, ..), _)| owner.is_none_or(|owner| owner == *of));
         let lacking: Vec<&str> = lacking.map(|(_, robot)| robot.as_str()).collect();
         (!lacking.is_empty()).then(|| format!("FAILED to notify {}", lacking.join(", ")))
     }
 
     pub fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<()> {
-        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut untold = locked(&self.untold);
         untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
         drop(untold);
         self.change(owner, device, |enrolled| enrolled.ended = true)

@@ -1,9 +1,9 @@
 //! Loans of devices, on an embedded chain, and the enrolled robots.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
-use super::enrolled::Enrolments;
 use super::*;
 use crate::model::{ErrorKind, PublicKey};
+use crate::site::Enrolments;
 use crate::site::testing::{Ground, registered, site_with_chain};
 use crate::store::notes::Enrolled;
 

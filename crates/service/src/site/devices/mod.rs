@@ -2,28 +2,24 @@
 
 mod courier;
 pub(super) mod enrolled;
-mod following;
 mod policies;
-pub(super) mod pulling;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use self::enrolled::Enrolments;
-use super::parts::Parts;
-use super::sharing::Sharing;
+use tokio::task::block_in_place;
+
 use crate::chain::Call;
-use crate::crypto::{Fingerprint, GatewayAccess, TransportKey};
-use crate::event::Part;
-use crate::failure::{input, refused};
+use crate::command::{self as ask, Ask as _, RobotCommand};
+use crate::crypto::{Fingerprint, GatewayAccess, Notice, TransportKey};
 use crate::gateway::{Applicant, Client, Code, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust};
-use crate::model::bytes::hex;
-use crate::model::{ProfileName, SignerId, Timestamp, Token, clean};
+use crate::model::{ProfileName, RingSpan, SignerId, Timestamp, Token, TopicPattern, TopicPatterns, clean, hex};
 use crate::pipeline::directory::Lending;
 use crate::pipeline::{Network, Owner, authority};
-use crate::reply::{DeviceRow, Failure, Result, TransactionView};
-use crate::store::notes::EnrolledGateway;
+use crate::reply::{DeviceRow, Failure, Part, Reply, Result, RingPullView, TransactionView, input, refused};
+use crate::site::{Enrolments, Parts, Sharing, incidents};
+use crate::store::notes::{Enrolled, EnrolledGateway};
 
 const SHORTEST: usize = 8;
 
@@ -209,12 +205,7 @@ impl Seat {
         Ok(Client::connect(&self.endpoint, &mut self.trust, &credentials).await?)
     }
 
-    pub async fn tell(
-        &mut self,
-        owner: &Owner,
-        (name, token): (&ProfileName, Token),
-        notice: DeviceNotice,
-    ) -> Result<()> {
+    async fn tell(&mut self, owner: &Owner, (name, token): (&ProfileName, Token), notice: DeviceNotice) -> Result<()> {
         let mut client = self.connect(name, token).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
@@ -237,6 +228,78 @@ impl Seat {
         let (addresses, fingerprint) = (self.endpoint.addresses.clone(), self.gateway);
         GatewayAccess { addresses, fingerprint, transport: self.transport.clone() }
     }
+}
+
+const WIDEST: usize = 255;
+
+impl Devices {
+    pub async fn answer(&self, owner: &Owner, command: RobotCommand) -> Result<Reply> {
+        match command {
+            RobotCommand::PullRing { name, since, until, topics, incident } => {
+                let incident = incident.map(|incident| {
+                    block_in_place(|| incidents::view(&self.parts.plant.ledger.incidents, owner.address, &incident))
+                });
+                let incident = incident.transpose()?;
+                let of_incident = incident.as_ref();
+                let since = since.or(of_incident.map(|incident| incident.since));
+                let since = since.ok_or_else(|| input("give a start: --since 10m, or --incident NAME"))?;
+                let until = until.or(of_incident.and_then(|incident| incident.until));
+                // A name that is no pattern matches no robot's topic.
+                let of_all = of_incident.into_iter().flat_map(|incident| &incident.topics);
+                let of_all = of_all.filter_map(|topic| topic.parse().ok());
+                let topics = if topics.is_empty() { of_all.collect() } else { topics };
+                let span = span(since, until, topics)?;
+                self.pull(owner, &name, &span).await.map(ask::PullRing::told)
+            }
+            RobotCommand::ListRobots => self.robot_rows(owner).await.map(ask::ListRobots::told),
+            RobotCommand::ShowRobot { name } => self.robot_view(owner, &name).await.map(ask::ShowRobot::told),
+            RobotCommand::SetRobotPolicy { name, text } => {
+                self.set_policy(owner, &name, text).await.map(ask::SetRobotPolicy::told)
+            }
+        }
+    }
+
+    pub async fn pull(&self, owner: &Owner, name: &str, span: &RingSpan) -> Result<RingPullView> {
+        let network = self.parts.link.network().await?;
+        let robot = self.robot(&network, owner, name)?;
+        let RingSpan { since, until, topics } = span;
+        let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
+        let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
+        let notice = Notice::Pull(span.clone());
+        let asked = async { block_in_place(|| self.enrolments.send(owner, &network, &robot, &notice)) };
+        self.parts.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
+        let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
+        Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
+    }
+
+    pub async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<()> {
+        let network = self.parts.link.network().await?;
+        names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
+    }
+
+    pub fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled> {
+        let device = self.lent_device(network, owner, name)?;
+        let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
+        known.ok_or_else(|| {
+            refused(format!(
+                "device {device} was not enrolled from this home; `authros robot devices` shows those that were"
+            ))
+        })
+    }
+}
+
+/// A ring holds only the past.
+pub fn span(since: Timestamp, until: Option<Timestamp>, topics: Vec<TopicPattern>) -> Result<RingSpan> {
+    let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
+    if since >= until {
+        return Err(input(format!(
+            "the span would end at {until}, before it begins; a ring holds only the past, so give an earlier --since"
+        )));
+    }
+    if topics.len() > TopicPatterns::MOST {
+        return Err(input(format!("request at most {most} topics per call", most = TopicPatterns::MOST)));
+    }
+    Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }
 
 #[cfg(test)]

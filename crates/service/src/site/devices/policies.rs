@@ -1,27 +1,28 @@
 //! The policies that an owner sets for robots, and what the robots report about them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use tokio::task::block_in_place;
 
-use super::Devices;
 use crate::config::RobotPolicy;
 use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
     Address, Digest, GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean,
-    clean_lines, natural,
+    clean_lines, locked, natural,
 };
 use crate::pipeline::epoch::type_choice;
 use crate::pipeline::{Network, Owner, recorder_heads};
-use crate::service::failure::{input, refused};
-use crate::service::reply::{CoveragePart, CoveredSpan, Failure, Result, RobotRow, RobotTopicRow, RobotView};
+use crate::reply::{CoveragePart, CoveredSpan, Failure, Result, RobotRow, RobotTopicRow, RobotView, input, refused};
+use crate::site::Devices;
 use crate::store::notes::{Enrolled, PolicyWanted, WantedPolicy};
 use crate::store::{CoverageQuery, RecordQuery, RecordRow, SignerTopic};
 
 const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
 const MOST_ROBOTS: usize = 100_000;
+
+type LostByTopic = BTreeMap<String, u64>;
 
 /// Topic and messages lost, by the digest of the report that says so: a report is opened once.
 #[derive(Default)]
@@ -178,14 +179,9 @@ impl Devices {
     }
 
     /// What each of these robots lost of each topic, by its newest reports.
-    fn lost(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        robots: &[Enrolled],
-    ) -> Result<BTreeMap<SignerId, BTreeMap<String, u64>>> {
-        let mut lost: BTreeMap<SignerId, (usize, BTreeMap<String, u64>)> = BTreeMap::new();
-        let mut before = std::mem::take(&mut *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner));
+    fn lost(&self, owner: &Owner, network: &Network, robots: &[Enrolled]) -> Result<BTreeMap<SignerId, LostByTopic>> {
+        let mut lost: BTreeMap<SignerId, (usize, LostByTopic)> = BTreeMap::new();
+        let mut before = std::mem::take(&mut *locked(&self.losses.0));
         let mut now = BTreeMap::new();
         for row in self.gaps(owner)? {
             let mut known = before.remove(&row.digest);
@@ -204,7 +200,7 @@ impl Devices {
             }
             now.extend(known.map(|known| (row.digest, known)));
         }
-        *self.losses.0.lock().unwrap_or_else(PoisonError::into_inner) = now;
+        *locked(&self.losses.0) = now;
         Ok(lost.into_iter().map(|(device, (_, topics))| (device, topics)).collect())
     }
 
@@ -218,7 +214,7 @@ impl Devices {
     }
 }
 
-fn sum(topics: &BTreeMap<String, u64>) -> u64 {
+fn sum(topics: &LostByTopic) -> u64 {
     topics.values().copied().fold(0, u64::saturating_add)
 }
 
@@ -256,7 +252,7 @@ fn standing(wanted: &PolicyWanted, report: Option<&PolicyReport>) -> &'static st
     }
 }
 
-fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: BTreeMap<String, u64>) -> Vec<RobotTopicRow> {
+fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: LostByTopic) -> Vec<RobotTopicRow> {
     let mut rows: Vec<RobotTopicRow> = Vec::new();
     for topic in topics.iter().filter(|topic| topic.signer == robot) {
         let of = |wanted: fn(RecordState) -> bool| -> u64 {

@@ -3,32 +3,26 @@
 mod page;
 mod time;
 
-pub use self::page::definition_of;
-pub(in crate::site) use self::time::TimeStamps;
-
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack, verify};
 use tokio::task::block_in_place;
 
-use authros_evidence::{Bundle, ClaimedChain, Packing, PackingError, Trust, pack, verify};
+pub use self::page::definition_of;
+pub(in crate::site) use self::time::TimeStamps;
 
-use super::incidents;
-use super::parts::Parts;
-use super::reading::Reading;
 use crate::command::{EvidenceWishes, UploadQuery};
 use crate::crypto::private_file;
-use crate::event::NoticeLevel;
-use crate::failure::input;
-use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean, counted};
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicPattern, TopicPatterns, clean, counted, locked};
 use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::evidence::{MOST_RECORDS, gather};
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, PipelineError};
-use crate::reply::{DisclosedTopic, EvidenceView, HealthLevel, IncidentView, PartHealth, Result};
+use crate::pipeline::{Network, Owner, PipelineError, Reader};
+use crate::reply::{DisclosedTopic, EvidenceView, HealthLevel, IncidentView, NoticeLevel, PartHealth, Result, input};
+use crate::site::{Parts, Reading, incidents};
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 1000;
@@ -79,22 +73,11 @@ impl Evidence {
         let named = named.iter().map(|row| ("disclose record", row.id.clone()));
         let in_bulk = of_topics.iter().map(|(topic, rows)| ("disclose topic", self.bulk(topic, rows)));
         // A disclosure cannot be undone: logged before anything leaves.
-        let deeds: Vec<(&str, String)> = named.chain(in_bulk).collect();
-        for (deed, subject) in &deeds {
-            self.parts.log.begin(owner, deed, subject).await?;
-        }
-        self.parts.log.begin(owner, "export evidence", &file).await?;
-        let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
-        let written = written.map(|mut view| {
-            view.notes.extend(left_out);
-            view
-        });
-        for (deed, subject) in &deeds {
-            let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
-            // `export evidence` reports the failure once.
-            drop(self.parts.log.end(owner, deed, subject, ended).await);
-        }
-        self.parts.log.end(owner, "export evidence", &file, written).await
+        let deeds: Vec<(&str, String)> = named.chain(in_bulk).chain([("export evidence", file)]).collect();
+        let written = Box::pin(self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file));
+        let mut view = self.parts.log.deeds(&owner.profile, &deeds, written).await?;
+        view.notes.extend(left_out);
+        Ok(view)
     }
 
     /// The audit log's words for records that are disclosed together; their digests can be compared with the file's.
@@ -278,14 +261,14 @@ impl ChainProofs {
             let text = format!("the chain's proofs of {} could not be kept: {why}", counted(missed, "batch"));
             self.parts.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
-        let mut trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut trouble = locked(&self.trouble);
         let since = trouble.as_ref().map_or_else(Timestamp::now, |(since, _)| *since);
         *trouble = problem.map(|why| (since, why));
     }
 
     pub fn health(&self) -> Result<Option<PartHealth>> {
         let counts = self.parts.plant.ledger.proofs.chain_proof_counts()?;
-        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let trouble = locked(&self.trouble).clone();
         // The chain's own part reports a node that is away.
         let answers = !self.parts.link.is_silent() && self.parts.link.network_now().is_some();
         let trouble = trouble.filter(|_| answers);

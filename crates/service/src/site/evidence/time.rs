@@ -4,7 +4,7 @@
 mod tests;
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use authros_evidence::PinnedAuthority;
@@ -16,12 +16,10 @@ use tokio::task::block_in_place;
 
 use crate::config::TimeAuthority;
 use crate::crypto::random_bytes;
-use crate::model::{ErrorKind, Hash, Timestamp, clean, counted, grouped};
-use crate::service::event::NoticeLevel;
-use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{Failure, PartHealth, Result, StampView, StampedView};
+use crate::model::{ErrorKind, Hash, Timestamp, clean, counted, grouped, locked};
+use crate::reply::{Failure, NoticeLevel, PartHealth, Result, StampView, StampedView, input, internal, refused};
+use crate::site::Parts;
 use crate::site::evidence::waiting_part;
-use crate::site::parts::Parts;
 use crate::store::KeptStamp;
 
 const PATIENCE: Duration = Duration::from_secs(15);
@@ -71,7 +69,7 @@ impl TimeStamps {
     }
 
     fn with<Told>(&self, work: impl FnOnce(&mut Last) -> Told) -> Told {
-        work(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner))
+        work(&mut locked(&self.last))
     }
 
     pub async fn keep(self: Arc<Self>) {

@@ -4,12 +4,11 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use super::admissions::Admissions;
-use crate::event::{Event, NoticeLevel};
 use crate::gateway::Desk as _;
 use crate::model::{Address, Party};
-use crate::site::contacts::Contacts;
+use crate::reply::{Event, NoticeLevel};
 use crate::site::testing::{Ground, profile, registered, site_with_chain};
+use crate::site::{Admissions, Contacts};
 
 const GUEST: Address = Address([9; 20]);
 

@@ -8,10 +8,10 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 use crate::chain::{Chain, serve};
+use crate::command::{Administration, GrantFrom};
 use crate::gateway::{Caller, Code, Desk as _, Feed, Place};
 use crate::model::Party;
 use crate::pipeline::Owner;
-use crate::service::command::{Administration, GrantFrom};
 use crate::site::Needs;
 use crate::site::testing::{registered, site_of, site_with_chain};
 

@@ -8,24 +8,23 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use super::GatewayDesk;
-use super::admissions::{Standing as Access, subject};
 use super::erasing::not_taken;
 use super::reading::LONGEST_SILENCE;
+use super::{Standing as Access, subject};
 use crate::chain::RelayError;
 use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::crypto::{SmKeyPair, check_identity, open_transport_key, seal_transport_key, signer_id};
-use crate::event::NoticeLevel;
-use crate::failure::internal;
 use crate::gateway::desk::Account;
 use crate::gateway::{
     Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, ErasureNotice, ErasureOutcome, Feed, FeedPage, Found,
     NetworkName, Notice, Received, Refusal, RevokeNotice,
 };
-use crate::model::{Address, Digest, Identity, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token};
+use crate::model::{Address, Digest, Identity, ProfileName, PublicKey, RecordKind, SignerId, Timestamp, Token, locked};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
 use crate::pipeline::directory::kept;
 use crate::pipeline::intake::accept_uploads;
+use crate::reply::{NoticeLevel, Part, internal};
 use crate::store::notes::AnnouncedRevoke;
 use crate::store::{KeptBinding, Ledger};
 
@@ -33,12 +32,14 @@ use crate::store::{KeptBinding, Ledger};
 const COURIER: &str = "courier-";
 const DIGITS: usize = 16;
 
+pub(super) type Result<T, E = Refusal> = std::result::Result<T, E>;
+
 impl GatewayDesk {
     /// Runs work that waits for disk or node, off the network's threads.
     pub async fn blocking<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
-    ) -> Result<T, Refusal> {
+        work: impl FnOnce(&Self) -> Result<T> + Send + 'static,
+    ) -> Result<T> {
         let desk = self.clone();
         let joined = tokio::task::spawn_blocking(move || work(&desk)).await;
         joined.map_err(Refusal::internal)?
@@ -48,13 +49,13 @@ impl GatewayDesk {
         &self.gateway.parts.plant.ledger
     }
 
-    async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
+    async fn audit(&self, caller: &Caller, action: &str, subject: &str) -> Result<()> {
         let (log, outcome) = (&self.gateway.parts.log, format!("asked by {} ({})", caller.name, caller.account));
         log.write(&self.place.keeper.profile, action, subject, &outcome).await.map_err(Refusal::internal)
     }
 
     /// Like [`Self::audit`], but once a minute for the same event of a caller; repetitions are counted.
-    async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
+    async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<()> {
         let (log, query) = (&self.gateway.parts.log, format!("{action} {subject}"));
         if !log.is_new_query(caller.name.as_str(), &query) {
             return Ok(());
@@ -67,7 +68,7 @@ impl GatewayDesk {
     }
 
     /// Obeys a revoke before it is on the chain.
-    async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal> {
+    async fn revoked(&self, caller: &Caller, notice: &RevokeNotice) -> Result<()> {
         let (note, epoch) = (AnnouncedRevoke { owner: caller.account, reader: notice.grantee }, notice.epoch);
         self.blocking(move |desk| desk.ledger().notes.write(&note, &epoch).map_err(Refusal::internal)).await?;
         self.gateway.parts.hub.feed_changed();
@@ -75,7 +76,7 @@ impl GatewayDesk {
     }
 
     /// Binds the caller's name to a device.
-    async fn named(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
+    async fn named(&self, caller: &Caller, notice: &DeviceNotice) -> Result<()> {
         self.freshen().await?;
         let DeviceNotice { key, notices } = *notice;
         let device = signer_id(&key);
@@ -92,10 +93,10 @@ impl GatewayDesk {
         .await
     }
 
-    fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+    fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp> {
         let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
         // Counted records must be stored before anything else is counted.
-        let _counting = guest.then(|| self.place.guests.lock().unwrap_or_else(PoisonError::into_inner));
+        let _counting = guest.then(|| locked(&self.place.guests));
         if guest {
             self.check_quota(owner, &records)?;
         }
@@ -107,46 +108,16 @@ impl GatewayDesk {
             self.gateway.parts.hub.feed_changed();
         }
         self.gateway.parts.hub.stored.notify_waiters();
-        self.gateway.parts.hub.changed(crate::service::event::Part::Uploads);
+        self.gateway.parts.hub.changed(Part::Uploads);
         Ok(Timestamp::now())
     }
 
     /// A device's session is valid as long as its loan.
-    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
+    pub fn check_loan(&self, network: &Network, caller: &Caller) -> Result<()> {
         let Some(device) = &caller.device else { return Ok(()) };
         let now = Moment::newest(network.directory.now());
         let right = may_sign(&network.directory, caller.account, device.id, now);
         right.map(drop).map_err(|why| Refusal::new(Code::NotAuthorised, format_args!("device {}: {why}", device.id)))
-    }
-
-    pub async fn pass_on(
-        &self,
-        caller: Option<&Caller>,
-        method: &str,
-        parameters: &Value,
-    ) -> Result<Value, RelayError> {
-        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
-        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
-            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
-        };
-        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
-        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
-            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
-            Passed::NoLogs => Ok(json!([])),
-            Passed::Estimate { from, registers } => {
-                let known = || from.is_some_and(|from| self.may_send(&network, &from));
-                if caller.is_none() && registers.is_none() && !known() {
-                    return Err(RelayError::NotAllowed);
-                }
-                network.chain.relay(method, parameters).await
-            }
-            Passed::Transaction { sender, registers } => {
-                if caller.is_none() {
-                    self.check_sender(&network, sender, registers)?;
-                }
-                network.chain.relay(method, parameters).await
-            }
-        }
     }
 
     /// A transaction proves its own sender: without a transport key, admitted accounts may send one, and a newcomer its
@@ -178,7 +149,7 @@ impl GatewayDesk {
 
 #[async_trait]
 impl Desk for GatewayDesk {
-    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account, Refusal> {
+    async fn account(&self, account: &Address, device: Option<&SignerId>) -> Result<Account> {
         let network = self.known_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
         if authority::is_suspended(&network.directory, *account) {
@@ -193,7 +164,7 @@ impl Desk for GatewayDesk {
         Ok(Account { signing: identity.signing, envelope: identity.envelope })
     }
 
-    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<(), Refusal> {
+    async fn admits(&self, account: &Address, token: Option<&Token>) -> Result<()> {
         if let Some(token) = token {
             let (account, token) = (*account, *token);
             let is_known = self.blocking(move |desk| {
@@ -208,7 +179,7 @@ impl Desk for GatewayDesk {
         self.standing_of(&self.known_network()?, account).map(drop)
     }
 
-    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal> {
+    async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>> {
         match self.may_sign_now(owner, signer)? {
             Ok(SigningRight::Owner(key)) => return Ok(Some(key)),
             Ok(SigningRight::Device(_)) => {}
@@ -222,7 +193,7 @@ impl Desk for GatewayDesk {
         .await
     }
 
-    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
+    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>> {
         let name = name.clone();
         self.blocking(move |desk| {
             let kept = desk.ledger().bindings.binding(&name).map_err(Refusal::internal)?;
@@ -241,7 +212,7 @@ impl Desk for GatewayDesk {
         .await
     }
 
-    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>, Refusal> {
+    async fn recalled(&self, binding: &Binding) -> Result<Option<Timestamp>> {
         let Some(device) = &binding.device else { return Ok(None) };
         let network = self.known_network()?;
         let account = network.directory.account(binding.account);
@@ -249,11 +220,11 @@ impl Desk for GatewayDesk {
         network.ask_time(block).await.map(Some).map_err(Refusal::because(Code::Stale))
     }
 
-    async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
+    async fn successor(&self, lost: &Address) -> Result<Option<Address>> {
         Ok(self.known_network()?.directory.successor(*lost))
     }
 
-    async fn bind(&self, name: &ProfileName, before: Option<Address>, binding: Binding) -> Result<(), Refusal> {
+    async fn bind(&self, name: &ProfileName, before: Option<Address>, binding: Binding) -> Result<()> {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
         self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
@@ -281,12 +252,12 @@ impl Desk for GatewayDesk {
         bound.and_then(|()| ended.map_err(Refusal::internal))
     }
 
-    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+    async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp> {
         let account = caller.account;
         self.blocking(move |desk| desk.keep(&account, records)).await
     }
 
-    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage, Refusal> {
+    async fn feed(&self, caller: &Caller, asked: &Feed, is_new: bool) -> Result<FeedPage> {
         // A robot may always ask about its own records: a recall need not hide those.
         if caller.device.is_none() || asked.recorders.is_empty() {
             self.freshen().await?;
@@ -306,7 +277,7 @@ impl Desk for GatewayDesk {
         self.gateway.parts.hub.feed.subscribe()
     }
 
-    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+    async fn records(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>> {
         if caller.device.is_none() || bytes {
             self.freshen().await?;
         }
@@ -314,7 +285,7 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| desk.found(&caller, &digests, bytes)).await
     }
 
-    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<(), Refusal> {
+    async fn notice(&self, caller: &Caller, notice: &Notice) -> Result<()> {
         match notice {
             // The chain's own event decides; the notice is only logged.
             Notice::Grant(notice) => self.audit(caller, "grant notice", &notice.grantee.to_string()).await,
@@ -323,16 +294,37 @@ impl Desk for GatewayDesk {
         }
     }
 
-    async fn network_name(&self) -> Result<NetworkName, Refusal> {
+    async fn network_name(&self) -> Result<NetworkName> {
         let pin = self.known_network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
         Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
     }
 
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
-        self.pass_on(caller, method, parameters).await
+        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
+        let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.parts.link.fresh_head(LONGEST_SILENCE)) else {
+            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
+        };
+        let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
+        match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {
+            Passed::Read(parameters) => network.chain.relay(method, &parameters).await,
+            Passed::NoLogs => Ok(json!([])),
+            Passed::Estimate { from, registers } => {
+                let known = || from.is_some_and(|from| self.may_send(&network, &from));
+                if caller.is_none() && registers.is_none() && !known() {
+                    return Err(RelayError::NotAllowed);
+                }
+                network.chain.relay(method, parameters).await
+            }
+            Passed::Transaction { sender, registers } => {
+                if caller.is_none() {
+                    self.check_sender(&network, sender, registers)?;
+                }
+                network.chain.relay(method, parameters).await
+            }
+        }
     }
 
-    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
+    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>> {
         self.freshen().await?;
         self.erase_for(caller, erasures).await
     }
@@ -362,7 +354,7 @@ pub fn is_reserved(name: &ProfileName) -> bool {
     digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-pub fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
+pub fn check(name: &ProfileName, account: &Address) -> Result<()> {
     if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());
     }

@@ -2,7 +2,7 @@
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::super::erasing::tests::{Ground, TOPIC, until};
-use crate::model::bytes::hex;
+use crate::model::hex;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn what_a_rule_deleted_is_stated_to_readers_when_they_ask() {

@@ -5,14 +5,15 @@ use std::fmt;
 use std::time::Duration;
 
 use super::GatewayDesk;
+use super::desk::Result;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
-use crate::event::Part;
 use crate::gateway::{Caller, Code, ErasedRecord, ErasureNotice, ErasureOutcome, Refusal};
 use crate::model::{Digest, Header, counted};
 use crate::pipeline::Network;
 use crate::pipeline::columns::header_difference;
 use crate::pipeline::intake::{Accepted, Intake, Reason, taken_erased};
 use crate::pipeline::retention::{self, is_owners, left_of};
+use crate::reply::Part;
 use crate::store::{KeptErasure, NewRecord, RecordRow, Retained, RootSighting, StoreError, ToldErased};
 
 /// Longest lag of the watcher here behind the block of a proof.
@@ -28,11 +29,7 @@ enum Judged {
 
 impl GatewayDesk {
     /// Erases here what the caller had erased at home; returns the outcomes in order.
-    pub async fn erase_for(
-        &self,
-        caller: &Caller,
-        notices: Vec<ErasureNotice>,
-    ) -> Result<Vec<ErasureOutcome>, Refusal> {
+    pub async fn erase_for(&self, caller: &Caller, notices: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>> {
         let network = self.known_network()?;
         if let Some(other) = notices.iter().find(|notice| !notice.is_of(caller.account)) {
             let text = format_args!("record {} is not {}'s", other.digest, caller.account);
@@ -67,7 +64,7 @@ impl GatewayDesk {
     }
 
     /// Decides without checking any signature, if possible.
-    fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>, Refusal> {
+    fn known(&self, network: &Network, header: &Header, digest: Digest) -> Result<Option<Judged>> {
         let ledger = &self.gateway.parts.plant.ledger;
         let Some(row) = ledger.records.find(digest).map_err(Refusal::internal)? else {
             return Ok(None);
@@ -89,7 +86,7 @@ impl GatewayDesk {
         Ok(is_known.then_some(Judged::Known))
     }
 
-    async fn erase_one(&self, network: &Network, notice: ErasureNotice) -> Result<Judged, Refusal> {
+    async fn erase_one(&self, network: &Network, notice: ErasureNotice) -> Result<Judged> {
         let ErasureNotice { digest, account_signature, left } = notice;
         let (header, _) = Header::parse(&left.record.blob)?;
         if header.domain != network.domain {
@@ -143,7 +140,7 @@ impl GatewayDesk {
     }
 
     /// The remains of a readable record that its owner had erased.
-    pub fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
+    pub fn erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord> {
         let plant = &self.gateway.parts.plant;
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
@@ -158,12 +155,7 @@ impl GatewayDesk {
     }
 
     /// The owner's statement; signed now if it predates statements or the owner's current key, and the keys are here.
-    fn stated(
-        &self,
-        network: &Network,
-        row: &RecordRow,
-        retained: &Retained,
-    ) -> Result<Option<ErasedStatement>, Refusal> {
+    fn stated(&self, network: &Network, row: &RecordRow, retained: &Retained) -> Result<Option<ErasedStatement>> {
         let plant = &self.gateway.parts.plant;
         let kept = plant.ledger.erasures.kept(row.digest).map_err(Refusal::internal)?;
         let kept = kept.and_then(|kept| ErasedStatement::parse(&kept.statement).ok());

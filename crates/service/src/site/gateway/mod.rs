@@ -3,41 +3,43 @@
 
 #[cfg(test)]
 mod admission_tests;
-pub(super) mod admissions;
 #[cfg(test)]
 mod cut_off_tests;
 pub(super) mod desk;
 mod erasing;
 mod reading;
-pub(crate) mod workers;
 
-use crate::site::gateway::admissions::Admissions;
-use crate::site::leading;
-use crate::site::mirror::remote::Remote;
-use crate::site::parts::Parts;
-use crate::site::sharing::Sharing;
-use crate::site::storage::check_all_accounts;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-use crate::crypto::{Fingerprint, SmKeyPair, signer_id};
+use crate::command::{SecretBytes, SecretText};
+use crate::crypto::join_file::SharedUse;
+use crate::crypto::{CryptoError, Fingerprint, JoinFile, JoinKey, Passphrase, Provider, SmKeyPair, signer_id};
+use crate::figures::GatewayFigures;
 use crate::gateway::server::Sender;
-use crate::gateway::{Cabinet, Context, Limits, Schedule, Server, ServerWatch};
-use crate::model::{Address, AnchorMode, Domain, ProfileName, SignerId, Timestamp, natural};
-use crate::pipeline::Owner;
+use crate::gateway::system_keys::SystemKeyList;
+use crate::gateway::{
+    Cabinet, Code, Context, GatewayError, Kept, Limits, Received, Refusal, Schedule, Server, ServerWatch, Shelf,
+};
+use crate::model::{
+    Address, AnchorMode, Domain, ErrorKind, Party, ProfileName, SignerId, Timestamp, hex, locked, natural, unhex,
+};
+use crate::paths::Home;
 use crate::pipeline::forwarder::Link as Line;
-use crate::pipeline::intake::Anchors;
-use crate::service::event::Part;
-use crate::service::failure::{input, refused};
-use crate::service::figures::GatewayFigures;
-use crate::service::reply::{GatewayStatusView, GatewayView, RefusedView, Result, SenderView, SystemKeyView};
-use crate::store::BoundName;
-use crate::store::notes::HoldersSettings;
+use crate::pipeline::{Anchors, Network, Owner, network_pin};
+use crate::reply::{
+    AdmittedView, Failure, GatewayStatusView, GatewayView, NoticeLevel, Part, RefusedView, Result, SenderView,
+    SystemKeyView, input, refused,
+};
+use crate::site::storage::check_all_accounts;
+use crate::site::{Contacts, Parts, Remote, Sharing, leading};
+use crate::store::notes::{AdmittedOwner, AdmittedOwners, HoldersSettings, SealedSystemKeys, SharedSystemKeys};
+use crate::store::{BoundName, Notes, StoreError};
 
 /// Longest wait for running requests when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
@@ -99,20 +101,16 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    fn serving(&self) -> MutexGuard<'_, Option<Serving>> {
-        self.serving.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub fn served(&self) -> Option<GatewayView> {
-        self.serving().as_ref().map(|serving| serving.view.clone())
+        locked(&self.serving).as_ref().map(|serving| serving.view.clone())
     }
 
     pub fn is_serving(&self) -> bool {
-        self.serving().is_some()
+        locked(&self.serving).is_some()
     }
 
     pub fn figures(&self) -> Option<GatewayFigures> {
-        let serving = self.serving();
+        let serving = locked(&self.serving);
         let watch = &serving.as_ref()?.watch;
         let connections = u64::try_from(watch.connections()).unwrap_or(u64::MAX);
         let refused = watch.refused().into_iter().map(|(code, count)| (code.number(), count)).collect();
@@ -172,7 +170,7 @@ impl Gateway {
         };
         self.parts.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.parts.hub.inform(&format!("the gateway is listening at {}", view.address));
-        *self.serving() = Some(Serving { view: view.clone(), watch: server.watch(), under });
+        *locked(&self.serving) = Some(Serving { view: view.clone(), watch: server.watch(), under });
         self.parts.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
@@ -185,7 +183,7 @@ impl Gateway {
             // A dropped sender means the same.
             drop(ended.await);
             over.send_replace(true);
-            *gateway.serving() = None;
+            *locked(&gateway.serving) = None;
             gateway.parts.hub.changed(Part::Health);
         });
         let (place, first) = (Place { address: server.address(), ..place }, Mutex::new(Some(server)));
@@ -195,7 +193,7 @@ impl Gateway {
             self,
             move |_| !*is_over.borrow(),
             move |gateway| {
-                let first = first.lock().unwrap_or_else(PoisonError::into_inner).take();
+                let first = locked(&first).take();
                 serve_until(gateway, place.clone(), first, over.clone())
             },
         );
@@ -212,7 +210,7 @@ impl Gateway {
             }
             let (notes, home) = (self.parts.plant.ledger.notes.clone(), self.parts.home.clone());
             let gateway = signer_id(&identity.public);
-            let shelf = workers::SharedShelf { notes, home, provider, domain: *domain, gateway, seen: None };
+            let shelf = SharedShelf { notes, home, provider, domain: *domain, gateway, seen: None };
             Cabinet::on(Box::new(shelf), context, identity, schedule, now)
         })?;
         let desk = Arc::new(GatewayDesk { gateway: Arc::clone(self), place: place.clone() });
@@ -223,7 +221,7 @@ impl Gateway {
 
     /// The keys that encrypt the transport keys of this owner's gateway here.
     pub fn kept_under(&self, owner: &Owner) -> Option<KeptUnder> {
-        let serving = self.serving();
+        let serving = locked(&self.serving);
         let own = serving.as_ref().filter(|serving| serving.view.account == owner.address);
         own.map(|serving| Arc::clone(&serving.under))
     }
@@ -251,7 +249,7 @@ impl Gateway {
             lease.unlike = self.parts.config.unlike(&ledger.notes.read(&HoldersSettings {})?.unwrap_or_default());
         }
         let through = self.remote.as_ref().map(|remote| crate::model::clean(&remote.chain_text(), 300));
-        let serving = self.serving();
+        let serving = locked(&self.serving);
         let Some(serving) = &*serving else {
             let senders = sender_rows(bound, Vec::new());
             return Ok(GatewayStatusView { through, senders, lease, ..GatewayStatusView::default() });
@@ -309,4 +307,371 @@ fn sender_rows(bound: Vec<SenderView>, connected: Vec<Sender>) -> Vec<SenderView
     rows.sort_by(|one, other| natural(one.name.as_str(), other.name.as_str()));
     rows.sort_by_key(|row| row.sessions == 0);
     rows
+}
+
+const DAMAGED: &str = "the system keys in the database do not open under this home's join key: join again with a new file \
+                       (`authros gateway join-file` at a worker that serves), or restore the database";
+
+/// The system keys in the database of all workers.
+pub(super) struct SharedShelf {
+    pub notes: Notes,
+    pub home: Home,
+    pub provider: &'static dyn Provider,
+    pub domain: Domain,
+    pub gateway: SignerId,
+    /// As last read; [`Shelf::write`] replaces nothing else.
+    pub seen: Option<SealedSystemKeys>,
+}
+
+fn unshared(failure: Failure) -> GatewayError {
+    GatewayError::Shelf { kind: failure.kind, text: failure.message }
+}
+
+impl Shelf for SharedShelf {
+    fn read(&mut self) -> Result<Option<Kept>, GatewayError> {
+        self.seen = self.notes.read(&SharedSystemKeys {}).map_err(|error| unshared(error.into()))?;
+        let Some(sealed) = &self.seen else { return Ok(None) };
+        let join = join_key(&self.home, sealed.join).map_err(unshared)?;
+        let kept = opened(self.provider, (&self.domain, &self.gateway), &join, sealed).map_err(unshared)?;
+        Ok(Some(kept))
+    }
+
+    fn write(&mut self, kept: &Kept) -> Result<bool, GatewayError> {
+        let join = match &self.seen {
+            Some(sealed) => join_key(&self.home, sealed.join).map_err(unshared)?,
+            None => first_join_key(&self.home)?,
+        };
+        let sealed = sealed(self.provider, (&self.domain, &self.gateway), &join, kept)?;
+        let replaced = self.notes.replace(&SharedSystemKeys {}, self.seen.as_ref(), &sealed);
+        let replaced = replaced.map_err(|error| unshared(error.into()))?;
+        if replaced {
+            self.seen = Some(sealed);
+        }
+        Ok(replaced)
+    }
+
+    fn is_shared(&self) -> bool {
+        true
+    }
+}
+
+/// The first worker makes it, and keeps it before anything is sealed under it.
+fn first_join_key(home: &Home) -> Result<JoinKey, CryptoError> {
+    if let Some(made) = JoinKey::load(&home.gateway(), 1)? {
+        return Ok(made);
+    }
+    let join = JoinKey::generate(1)?;
+    join.save(&home.gateway())?;
+    Ok(join)
+}
+
+pub(crate) fn join_key(home: &Home, number: u64) -> Result<JoinKey> {
+    JoinKey::load(&home.gateway(), number)?.ok_or_else(|| {
+        refused(format!(
+            "the workers of this gateway have join key {number}, and {} does not have it: make a join file at another worker \
+             (`authros gateway join-file --out FILE`), then run `authros gateway join FILE` here",
+            home.root().display()
+        ))
+    })
+}
+
+pub(crate) fn sealed(
+    provider: &dyn Provider,
+    (domain, gateway): (&Domain, &SignerId),
+    join: &JoinKey,
+    kept: &Kept,
+) -> Result<SealedSystemKeys, CryptoError> {
+    let list = kept.list.encode();
+    let secrets = join.seal(provider, SharedUse { domain, gateway, beside: &list }, kept.secrets())?;
+    Ok(SealedSystemKeys { join: join.number, list: hex(&list), secrets: hex(&secrets) })
+}
+
+/// Refuses what another join key, gateway or network sealed, and what was altered.
+pub(crate) fn opened(
+    provider: &dyn Provider,
+    (domain, gateway): (&Domain, &SignerId),
+    join: &JoinKey,
+    sealed: &SealedSystemKeys,
+) -> Result<Kept> {
+    let damaged = || Failure::new(ErrorKind::Tampered, DAMAGED);
+    let (list, secrets) = unhex(&sealed.list).zip(unhex(&sealed.secrets)).ok_or_else(damaged)?;
+    let plain = join.open(provider, SharedUse { domain, gateway, beside: &list }, &secrets).map_err(|_| damaged())?;
+    Kept::parse(&list, &plain).map_err(|_| damaged())
+}
+
+impl Gateway {
+    /// The file that makes another machine a worker; with `renew` under a new join key, which older files do not have.
+    pub async fn join_file(&self, profile: &ProfileName, secret: &SecretText, renew: bool) -> Result<SecretBytes> {
+        let passphrase = Passphrase::new(secret.expose().to_owned())?;
+        let make = || -> Result<Vec<u8>> { Ok(self.made_join_file(profile, renew)?.seal(&passphrase)?) };
+        let made = async { block_in_place(make) };
+        let act = if renew { "renew join key" } else { "make join file" };
+        self.parts.log.deed(profile, act, "gateway", made).await.map(SecretBytes::new)
+    }
+
+    fn made_join_file(&self, profile: &ProfileName, renew: bool) -> Result<JoinFile> {
+        let config = &self.parts.config;
+        if config.store_url.is_none() {
+            let text = "a gateway whose records are in a file of its home has no further workers; one on PostgreSQL has \
+                        (store.url)";
+            return Err(refused(text));
+        }
+        if config.chain_url.is_none() {
+            let text = "the chain is in this home, where no other worker reaches it; serve it with `authros chain serve` in a \
+                        home of its own, and set chain.url to what that prints";
+            return Err(refused(text));
+        }
+        let notes = &self.parts.plant.ledger.notes;
+        let unserved =
+            || input("this gateway was never served; run `authros gateway serve` once, then make the join file");
+        let pin = network_pin(&self.parts.plant.ledger.rights)?.ok_or_else(unserved)?;
+        let (keyring, home) = (self.parts.home.keyring(profile), &self.parts.home);
+        if !keyring.exists() {
+            let text =
+                format!("profile '{profile}' has no keyring here; name the one that keeps the gateway with --profile");
+            return Err(input(text));
+        }
+        let seen = notes.read(&SharedSystemKeys {})?.ok_or_else(unserved)?;
+        let list = unhex(&seen.list).and_then(|list| SystemKeyList::parse(&list).ok());
+        let gateway = list.ok_or_else(|| Failure::new(ErrorKind::Tampered, DAMAGED))?.gateway;
+        let join = if renew {
+            let (notes, home, provider) = (notes.clone(), home.clone(), self.parts.plant.provider);
+            SharedShelf { notes, home, provider, domain: pin.domain(), gateway, seen: None }.renewed()?
+        } else {
+            join_key(home, seen.join)?
+        };
+        let mut file = JoinFile::new(pin.domain(), pin.chain_id, gateway, profile.clone(), join);
+        file.keyring = std::fs::read(&keyring).map_err(CryptoError::read(&keyring))?;
+        file.settings = config.of_workers();
+        Ok(file)
+    }
+}
+
+/// Times that other workers may write first.
+const ATTEMPTS: usize = 10;
+
+impl SharedShelf {
+    /// A new join key, kept here before the secrets are sealed under it.
+    fn renewed(&mut self) -> Result<JoinKey> {
+        let folder = self.home.gateway();
+        for _ in 0..ATTEMPTS {
+            let kept = self.read()?.ok_or_else(|| refused("this gateway has no system keys yet; serve it once"))?;
+            let number = self.seen.as_ref().map_or(0, |seen| seen.join) + 1;
+            let next = JoinKey::generate(number)?;
+            next.save(&folder)?;
+            let sealed = sealed(self.provider, (&self.domain, &self.gateway), &next, &kept)?;
+            // After an error it may be in use, so it stays; so do older ones, for a database restored to an earlier moment.
+            if self.notes.replace(&SharedSystemKeys {}, self.seen.as_ref(), &sealed)? {
+                return Ok(next);
+            }
+            next.forget(&folder)?;
+        }
+        Err(refused("other workers keep changing the gateway's system keys; try again"))
+    }
+}
+
+const MOST: usize = 10_000;
+/// Subject of notices about an account that asks to be allowed.
+pub fn subject(account: Address) -> String {
+    format!("allow {account}")
+}
+
+pub struct Admissions {
+    parts: Parts,
+    contacts: Arc<Contacts>,
+    admitted: RwLock<BTreeSet<Address>>,
+    changing: tokio::sync::Mutex<()>,
+}
+
+impl Admissions {
+    pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
+        let (contacts, changing) = (Arc::clone(contacts), tokio::sync::Mutex::default());
+        Self { parts: parts.clone(), contacts, admitted: RwLock::default(), changing }
+    }
+
+    fn list(&self) -> Result<Vec<AdmittedOwner>> {
+        Ok(self.parts.plant.ledger.notes.read(&AdmittedOwners {})?.unwrap_or_default())
+    }
+
+    /// Another process of the store may change it, too.
+    fn change(&self, change: impl FnOnce(&mut Vec<AdmittedOwner>)) -> Result<()> {
+        let changed = |list: &mut Vec<AdmittedOwner>| {
+            change(list);
+            Ok::<_, StoreError>(list.clone())
+        };
+        self.take_over(&self.parts.plant.ledger.notes.change(&AdmittedOwners {}, changed)?);
+        self.parts.hub.changed(Part::Health);
+        Ok(())
+    }
+
+    fn take_over(&self, list: &[AdmittedOwner]) {
+        let owners = list.iter().map(|admitted| admitted.owner).collect();
+        *self.admitted.write().unwrap_or_else(PoisonError::into_inner) = owners;
+    }
+
+    /// Reads the list for [`Self::is_on_list`].
+    pub fn open(&self) -> Result<()> {
+        self.take_over(&self.list()?);
+        Ok(())
+    }
+
+    pub fn listed(&self) -> BTreeSet<Address> {
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub fn is_on_list(&self, owner: &Address) -> bool {
+        self.admitted.read().unwrap_or_else(PoisonError::into_inner).contains(owner)
+    }
+
+    pub async fn admit(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
+        let owner = self.contacts.resolve(owner)?;
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            let list = self.list()?;
+            if !list.iter().any(|admitted| admitted.owner == owner) {
+                if list.len() >= MOST {
+                    return Err(refused(format!(
+                        "a gateway can allow at most {MOST} owners; remove one with `authros \
+                                                gateway deny` first"
+                    )));
+                }
+                let row = AdmittedOwner { owner, since: Timestamp::now(), by: profile.to_string() };
+                let admitted = async { self.change(|list| list.push(row)) };
+                self.parts.log.deed(profile, "gateway allow", &owner.to_string(), admitted).await?;
+                let text = format!("the gateway allows {owner} now");
+                self.parts.hub.notice_about(&subject(owner), NoticeLevel::Info, &text);
+            }
+        }
+        self.rows()
+    }
+
+    /// Refuses the owner from the next Command on; what it sent is kept and anchored.
+    pub async fn dismiss(&self, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>> {
+        let owner = self.contacts.resolve(owner)?;
+        if self.home_accounts().contains(&owner) {
+            return Err(refused(format!("{owner} is a profile of this home and may always use its gateway")));
+        }
+        {
+            let _one_at_a_time = self.changing.lock().await;
+            if !self.list()?.iter().any(|admitted| admitted.owner == owner) {
+                let advice = match self.parts.config.gateway.open {
+                    true => {
+                        "and an open gateway serves it as a guest; set gateway.admission = \"closed\" to shut it out"
+                    }
+                    false => "so it is not served; `authros gateway allowed` shows the list",
+                };
+                return Err(input(format!("{owner} is not on this gateway's allow list, {advice}")));
+            }
+            let denied = async { self.change(|list| list.retain(|admitted| admitted.owner != owner)) };
+            self.parts.log.deed(profile, "gateway deny", &owner.to_string(), denied).await?;
+        }
+        self.rows()
+    }
+
+    pub fn rows(&self) -> Result<Vec<AdmittedView>> {
+        let (names, list) = (self.contacts.names()?, self.list()?);
+        let row = |admitted: AdmittedOwner| AdmittedView {
+            owner: admitted.owner,
+            name: names.get(&admitted.owner).cloned(),
+            since: admitted.since,
+            by: admitted.by,
+        };
+        Ok(list.into_iter().map(row).collect())
+    }
+
+    /// Including profiles that are not open.
+    pub fn home_accounts(&self) -> BTreeSet<Address> {
+        let open = self.parts.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
+        let kept = self.parts.home.profiles().into_iter().filter_map(|profile| {
+            let public = block_in_place(|| crate::crypto::read_public(&self.parts.home.keyring(&profile)));
+            // An unreadable keyring is reported where it is opened.
+            public.ok().map(|public| public.address)
+        });
+        open.into_iter().chain(kept).collect()
+    }
+}
+
+const MOST_GUESTS: usize = 256;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Standing {
+    /// A profile of this home, or on the list.
+    Admitted,
+    /// Not admitted; the gateway is open.
+    Guest,
+}
+
+impl GatewayDesk {
+    pub fn standing_of(&self, network: &Network, account: &Address) -> Result<Standing, Refusal> {
+        let gateway = &self.gateway;
+        let own = || gateway.parts.owners.all().iter().any(|owner| owner.address == *account);
+        if self.place.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
+            return Ok(Standing::Admitted);
+        }
+        // The successor of a lost account replaces it.
+        if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
+            return Ok(Standing::Admitted);
+        }
+        if self.place.open {
+            return Ok(Standing::Guest);
+        }
+        let detail = format!("{account} is not allowed at this gateway; `authros gateway allow {account}` allows it");
+        Err(Refusal { account: Some(*account), ..Refusal::new(Code::NotAdmitted, detail) })
+    }
+
+    /// Whether an account may have one more name here.
+    pub fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
+        desk::check(name, account)?;
+        if self.standing_of(network, account)? == Standing::Admitted {
+            return Ok(());
+        }
+        let bound = self.gateway.parts.plant.ledger.bindings.bound_names().map_err(Refusal::internal)?;
+        let own = bound.iter().filter(|bound| bound.account == *account).count();
+        let known = bound.iter().any(|bound| bound.account == *account && bound.name == name.as_str());
+        let most = self.gateway.parts.config.gateway.names;
+        if !known && own as u64 >= most {
+            return Err(self.over(account, format_args!("{most} names")));
+        }
+        let guests: BTreeSet<&Address> = bound
+            .iter()
+            .map(|bound| &bound.account)
+            .filter(|owner| !self.gateway.admissions.is_on_list(owner))
+            .collect();
+        if own == 0 && guests.len() >= MOST_GUESTS {
+            return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not on the allow list")));
+        }
+        Ok(())
+    }
+
+    /// Whether a guest's records fit its quotas. The caller holds off other guests' records meanwhile.
+    pub fn check_quota(&self, account: &Address, records: &[Received]) -> Result<(), Refusal> {
+        let (ledger, rules) = (&self.gateway.parts.plant.ledger, &self.gateway.parts.config.gateway);
+        let usage = ledger.counts.usage(*account).map_err(Refusal::internal)?;
+        let bytes: u64 = records.iter().map(|record| record.blob.len() as u64).sum();
+        if usage.bytes.saturating_add(bytes) > rules.bytes {
+            return Err(self.over(account, format_args!("{} bytes", rules.bytes)));
+        }
+        let mut fresh = BTreeSet::new();
+        for record in records {
+            let header = &record.header;
+            let type_name = header.filters.first().map(|id| hex(&id.0)).unwrap_or_default();
+            let place = (header.recorder, header.topic_id);
+            let known = ledger.counts.has_stream(*account, place, (header.kind, &type_name, header.signer));
+            if !known.map_err(Refusal::internal)? {
+                fresh.insert((place.0.0, place.1.0, header.kind.code(), type_name, header.signer.0));
+            }
+        }
+        if usage.streams.saturating_add(fresh.len() as u64) > rules.streams {
+            return Err(self.over(account, format_args!("{} streams", rules.streams)));
+        }
+        Ok(())
+    }
+
+    fn over(&self, account: &Address, what: std::fmt::Arguments<'_>) -> Refusal {
+        let how = "lifts its guest quota";
+        Refusal::new(
+            Code::Quota,
+            format_args!("{account} has reached its quota of {what}; `authros gateway allow {account}` {how}"),
+        )
+    }
 }

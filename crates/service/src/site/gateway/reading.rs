@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use tokio::time::timeout;
 
 use super::GatewayDesk;
+use super::desk::Result;
 use crate::gateway::feed::MOST_ENTRIES;
 use crate::gateway::{Caller, Code, Feed, FeedEntry, FeedPage, Fetched, Found, Place, Refusal};
 use crate::model::{Address, Digest, RecordState, Scope, SignerId, Timestamp, TopicId};
@@ -31,7 +32,7 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 impl GatewayDesk {
     /// The network, if the chain's state of at most two seconds ago is known here: only then is it known who may read.
     /// Call [`Self::freshen`] before.
-    pub fn fresh_network(&self) -> Result<Network, Refusal> {
+    pub fn fresh_network(&self) -> Result<Network> {
         let network = self.known_network()?;
         self.gateway.parts.link.view().map_err(Refusal::because(Code::Stale))?;
         Ok(network)
@@ -39,7 +40,7 @@ impl GatewayDesk {
 
     /// Queries the chain's newest block, unless it did lately, and waits until it is read; `Stale` if that takes too
     /// long.
-    pub async fn freshen(&self) -> Result<(), Refusal> {
+    pub async fn freshen(&self) -> Result<()> {
         let link = &self.gateway.parts.link;
         if link.view().is_ok() {
             return Ok(());
@@ -55,7 +56,7 @@ impl GatewayDesk {
     }
 
     /// The network, if the chain reported a head recently: enough for storing, which the anchoring block judges again.
-    pub fn known_network(&self) -> Result<Network, Refusal> {
+    pub fn known_network(&self) -> Result<Network> {
         let network = self.gateway.parts.link.network_now().filter(|network| network.domain == self.place.domain);
         let fresh = self.gateway.parts.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no recent block from the chain"))
@@ -63,7 +64,7 @@ impl GatewayDesk {
 
     /// The right by which `reader` reads `owner`'s records here, now. Waits for the ledger: not on the network's
     /// threads.
-    pub fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight, Refusal> {
+    pub fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight> {
         if reader == owner {
             return Ok(ReadingRight::Own);
         }
@@ -81,14 +82,14 @@ impl GatewayDesk {
     }
 
     /// The right by which a key signs for `owner` now: the later of the head's time and this clock decides.
-    pub fn may_sign_now(&self, owner: &Address, signer: &SignerId) -> Result<Result<SigningRight, NoRight>, Refusal> {
+    pub fn may_sign_now(&self, owner: &Address, signer: &SignerId) -> Result<Result<SigningRight, NoRight>> {
         let network = self.known_network()?;
         let head = self.gateway.parts.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
         let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
         Ok(may_sign(&network.directory, *owner, *signer, at))
     }
 
-    fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool, Refusal> {
+    fn is_revoke_announced(&self, network: &Network, owner: &Address, reader: &Address) -> Result<bool> {
         let announced = AnnouncedRevoke { owner: *owner, reader: *reader };
         let epoch = self.gateway.parts.plant.ledger.notes.read(&announced).map_err(Refusal::internal)?;
         // The chain has caught up: its own state decides again.
@@ -102,7 +103,7 @@ impl GatewayDesk {
     }
 
     /// A record's bytes, compared with its digest before any of them leave.
-    pub fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+    pub fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched> {
         let plant = &self.gateway.parts.plant;
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
@@ -118,7 +119,7 @@ impl GatewayDesk {
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 
-    pub fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
+    pub fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow> {
         let row = self.gateway.parts.plant.ledger.records.find(*digest).map_err(Refusal::internal)?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;
@@ -131,7 +132,7 @@ impl GatewayDesk {
     }
 
     /// Requested owners whose records the reader may have now.
-    pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>, Refusal> {
+    pub fn followed(&self, reader: &Address, asked: &Feed) -> Result<Vec<Address>> {
         let network = self.fresh_network()?;
         let (places, refused) = self.places(&network, reader, asked)?;
         match refused.into_iter().next() {
@@ -147,7 +148,7 @@ impl GatewayDesk {
         network: &Network,
         reader: &Address,
         asked: &Feed,
-    ) -> Result<(Vec<FeedPlace>, Vec<(Address, Refusal)>), Refusal> {
+    ) -> Result<(Vec<FeedPlace>, Vec<(Address, Refusal)>)> {
         let (mut places, mut refused) = (Vec::new(), Vec::new());
         for Place { owner, after, grant } in &asked.places {
             match self.reach(network, reader, owner) {
@@ -165,7 +166,7 @@ impl GatewayDesk {
     }
 
     /// What is new for the caller after the requested places.
-    pub fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage, Refusal> {
+    pub fn page_of_feed(&self, caller: &Caller, asked: &Feed) -> Result<FeedPage> {
         let of_own = caller.device.is_some() && !asked.recorders.is_empty();
         let network = if of_own { self.known_network()? } else { self.fresh_network()? };
         self.check_loan(&network, caller)?;
@@ -187,7 +188,7 @@ impl GatewayDesk {
     }
 
     /// The first of these records, as many as fit.
-    pub fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>, Refusal> {
+    pub fn found(&self, caller: &Caller, digests: &[Digest], bytes: bool) -> Result<Vec<Found>> {
         if !bytes {
             let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
             self.check_loan(&network, caller)?;
@@ -216,7 +217,7 @@ impl GatewayDesk {
     }
 
     /// Whether a record is here, as far as the caller may know.
-    fn is_here(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<Found, Refusal> {
+    fn is_here(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<Found> {
         let row = self.gateway.parts.plant.ledger.records.find(*digest).map_err(Refusal::internal)?;
         let Some(row) = row else { return Ok(Found::Missing(Code::NotFound)) };
         let own = caller.device.is_none() || is_a_device(network, caller, &row.signer);
@@ -234,7 +235,7 @@ impl GatewayDesk {
 }
 
 /// One missing record does not keep back the others.
-fn missing(refusal: Refusal) -> Result<Found, Refusal> {
+fn missing(refusal: Refusal) -> Result<Found> {
     match refusal.code {
         Code::Stale => Err(refusal),
         code => Ok(Found::Missing(code)),

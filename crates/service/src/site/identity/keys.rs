@@ -6,19 +6,17 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::{Accounts, Profiles};
+use super::Accounts;
 use crate::chain::Call;
 use crate::command::{KeyKind, SecretBytes, SecretText};
 use crate::crypto::{
     Fingerprint, Keyring, SmKeyPair, keyfile, open_transport_key, prove, seal_transport_key, signer_id,
 };
-use crate::event::Part;
-use crate::failure::{input, refused};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId, counted};
 use crate::pipeline::{Network, Owner, PipelineError, recovery};
-use crate::reply::{EpochView, Failure, KeysView, Result};
-use crate::site::blocking;
+use crate::reply::{EpochView, Failure, KeysView, Part, Result, input, refused};
+use crate::site::{Profiles, blocking};
 use crate::store::notes::ProfileAccounts;
 use crate::store::{BoundName, RecordQuery, StoreError};
 
@@ -56,13 +54,14 @@ impl Profiles {
     ) -> Result<KeysView> {
         let registered = self.registered_network(owner).await?;
         let word = format!("{kind:?}").to_lowercase();
-        self.parts.log.begin(owner, "load key", &word).await?;
-        let loaded = match kind {
-            KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await.map(|()| Arc::clone(owner)),
-            KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await.map(|()| Arc::clone(owner)),
-            KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
+        let loaded = async {
+            match kind {
+                KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await.map(|()| Arc::clone(owner)),
+                KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await.map(|()| Arc::clone(owner)),
+                KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
+            }
         };
-        let owner = self.parts.log.end(owner, "load key", &word, loaded).await?;
+        let owner = self.parts.log.deed(&owner.profile, "load key", &word, loaded).await?;
         self.parts.hub.changed(Part::Identity);
         self.keys(&owner).await
     }
@@ -93,11 +92,10 @@ impl Profiles {
     /// Makes a new envelope pair; the old one still opens what was sealed to it.
     pub async fn rotate_envelope(&self, owner: &Owner) -> Result<KeysView> {
         let registered = self.registered_network(owner).await?;
-        self.parts.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
         let pair = SmKeyPair::generate(self.parts.plant.provider)?;
         let new = NewPairs { envelope: Some(pair), ..NewPairs::default() };
-        let changed = self.change_pairs(owner, registered.as_ref(), new).await;
-        self.parts.log.end(owner, "rotate envelope key", &owner.address.to_string(), changed).await?;
+        let changed = self.change_pairs(owner, registered.as_ref(), new);
+        self.parts.log.deed(&owner.profile, "rotate envelope key", &owner.address.to_string(), changed).await?;
         self.parts.hub.changed(Part::Identity);
         self.keys(owner).await
     }
@@ -160,12 +158,7 @@ impl Profiles {
         self.parts.log.deed(&owner.profile, "export key", &word, exported).await.map(SecretBytes::new)
     }
 
-    async fn key_file(
-        self: &Arc<Self>,
-        owner: &Owner,
-        kind: KeyKind,
-        passphrase: Option<SecretText>,
-    ) -> Result<Vec<u8>> {
+    async fn key_file(self: &Arc<Self>, owner: &Owner, kind: KeyKind, secret: Option<SecretText>) -> Result<Vec<u8>> {
         let (sm4, signing, eoa) = {
             let keyring = owner.keyring();
             (keyring.keys().sm4.clone(), keyring.keys().signing.clone(), keyring.keys().eoa.clone())
@@ -174,8 +167,8 @@ impl Profiles {
             KeyKind::Sm4 => Ok(keyfile::sm4_hex(&sm4).as_bytes().to_vec()),
             KeyKind::Sm2 => Ok(keyfile::sm2_pem(&signing.secret)?.as_bytes().to_vec()),
             KeyKind::Eoa => {
-                let passphrase = passphrase
-                    .ok_or_else(|| input("a V3 keystore needs a passphrase; pass --keystore-passphrase-file"))?;
+                let passphrase =
+                    secret.ok_or_else(|| input("a V3 keystore needs a passphrase; pass --keystore-passphrase-file"))?;
                 blocking(self, move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await
             }
         }
@@ -233,7 +226,7 @@ impl Profiles {
     pub async fn settle_pairs(&self, owner: &Owner, network: &Network) -> Result<()> {
         if recovery::is_ahead(network, owner)? {
             let (signing, envelope) = (owner.signing(), owner.envelope());
-            let sent = self.send_pairs(owner, network, &signing, &envelope).await.map_err(|failure| {
+            let sent = self.submit(owner, network, &signing, &envelope).await.map_err(|failure| {
                 let text = format!(
                     "the chain has earlier SM2 keys of '{}' than the keyring, and the keyring's could not be registered \
                      again: {}; run `authros identity register`",
@@ -288,14 +281,14 @@ impl Profiles {
         moves: bool,
     ) -> Result<()> {
         if !moves {
-            return self.send_pairs(owner, network, signing, envelope).await;
+            return self.submit(owner, network, signing, envelope).await;
         }
         self.nothing_is_captured(owner)?;
         block_in_place(|| self.enrolments.tell_owner_key(owner, network, &signing.public))?;
         self.drain(owner, signer_id(&owner.signing().public)).await?;
         let sealing = owner.sealing();
         owner.author.rest();
-        let sent = self.send_pairs(owner, network, signing, envelope).await;
+        let sent = self.submit(owner, network, signing, envelope).await;
         if let (Err(_), Some(keys)) = (&sent, sealing) {
             owner.author.seal_under(keys);
             self.sharing.foresee_expiry(owner, network, None)?;
@@ -303,13 +296,7 @@ impl Profiles {
         sent
     }
 
-    async fn send_pairs(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        signing: &SmKeyPair,
-        envelope: &SmKeyPair,
-    ) -> Result<()> {
+    async fn submit(&self, owner: &Owner, network: &Network, signing: &SmKeyPair, envelope: &SmKeyPair) -> Result<()> {
         let token = network.directory.account(owner.address).and_then(|account| account.token);
         let token = token.ok_or(PipelineError::Unregistered(owner.address))?;
         let (provider, domain) = (self.parts.plant.provider, &network.domain);

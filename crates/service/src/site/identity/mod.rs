@@ -1,6 +1,5 @@
 //! Profiles of the home: created, opened, locked, registered and shown; who is open.
 
-mod foreseeing;
 mod keys;
 
 use std::collections::BTreeMap;
@@ -11,25 +10,15 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
-use super::blocking;
-use super::capture::watches::Watches;
-use super::chain::connection::Connection;
-use super::devices::enrolled::Enrolments;
-use super::gateway::Gateway;
-use super::parts::Parts;
-use super::pins::Pinning;
-use super::reading::Reading;
-use super::sharing::Sharing;
 use super::storage::check_unused;
 use crate::chain::Call;
 use crate::command::{SecretBytes, SecretText};
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, prove, read_public};
-use crate::event::Part;
-use crate::failure::{input, internal, refused};
-use crate::model::{Address, ProfileName, Timestamp, clean};
+use crate::model::{Address, ProfileName, Timestamp, clean, locked};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner, Recorder, recovery};
-use crate::reply::{Failure, IdentityView, Opens, Result};
+use crate::reply::{Failure, IdentityView, Opens, Part, Result, input, internal, refused};
+use crate::site::{Connection, Enrolments, Gateway, Parts, Pinning, Reading, Sharing, Watches, blocking};
 use crate::store::notes::ProfileAccounts;
 use crate::store::{SealedQuery, StoreError};
 
@@ -477,7 +466,7 @@ impl Owners {
     /// copies of a keyring, one is outdated after the first change.
     pub async fn opening(&self, profile: &ProfileName) -> tokio::sync::OwnedMutexGuard<()> {
         let lock = {
-            let mut opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut opening = locked(&self.opening);
             opening.retain(|_, lock| Arc::strong_count(lock) > 1);
             Arc::clone(opening.entry(profile.clone()).or_default())
         };

@@ -3,11 +3,11 @@
 
 use std::sync::Arc;
 
+use crate::command::SecretText;
 use crate::crypto::{Keyring, Passphrase, UnlockedKeyring};
 use crate::model::{Domain, ErrorKind};
 use crate::pipeline::Owner;
-use crate::service::command::SecretText;
-use crate::service::reply::Result;
+use crate::reply::Result;
 use crate::site::testing::{Ground, PASSPHRASE, profile, site_of};
 use crate::site::{Needs, Site};
 

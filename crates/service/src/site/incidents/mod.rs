@@ -5,14 +5,12 @@ mod tests;
 
 use tokio::task::block_in_place;
 
+use crate::command::{self as ask, Ask, IncidentCommand};
 use crate::model::{
     Address, IncidentName, ProfileName, Timestamp, TopicPattern, TopicPatterns, clean, clean_lines, counted,
 };
-use crate::service::command::{self as ask, Ask, IncidentCommand};
-use crate::service::event::Part;
-use crate::service::failure::input;
-use crate::service::reply::{Failure, IncidentView, Reply, Result};
-use crate::site::parts::Parts;
+use crate::reply::{Failure, IncidentView, Part, Reply, Result, input};
+use crate::site::Parts;
 use crate::store::{IncidentNote, IncidentRow, IncidentSpan, Incidents as KeptIncidents, RecordQuery, SpanCoverage};
 
 const MOST: usize = 200;
@@ -87,19 +85,13 @@ impl Incidents {
         block_in_place(|| view(self.kept(), owner, name))
     }
 
-    async fn note(
-        &self,
-        profile: &ProfileName,
-        owner: Address,
-        name: &IncidentName,
-        text: &str,
-    ) -> Result<IncidentView> {
+    async fn note(&self, by: &ProfileName, owner: Address, name: &IncidentName, text: &str) -> Result<IncidentView> {
         let text = note_text(text)?;
         if self.show(owner, name)?.notes.len() >= MOST_NOTES {
             return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
         }
         let noted = async { found(name, block_in_place(|| self.kept().note(owner, name, &text))?) };
-        self.parts.log.deed(profile, "note incident", name.as_str(), noted).await?;
+        self.parts.log.deed(by, "note incident", name.as_str(), noted).await?;
         self.show(owner, name)
     }
 

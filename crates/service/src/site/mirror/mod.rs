@@ -14,14 +14,12 @@ use remote::{Mirrored, Remote};
 use tokio::task::block_in_place;
 
 use self::places::{Places, Standing, Told};
-use crate::event::Part;
 use crate::gateway::{Client, Code, FeedPage, Fetched, GatewayError, Place};
 use crate::model::{Address, Digest, Timestamp};
-use crate::pipeline::intake::{Accepted, Anchors, Intake, Wish, is_wanted, sources, wish};
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::reply::Failure;
-use crate::site::parts::Parts;
+use crate::pipeline::intake::{Accepted, Intake, Wish, is_wanted, sources, wish};
+use crate::pipeline::{Anchors, Network, Owner, PipelineError, Reader};
+use crate::reply::{Failure, Part};
+use crate::site::Parts;
 use crate::store::notes::{FeedTaken, TakenOfFeed};
 
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));

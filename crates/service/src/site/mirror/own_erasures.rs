@@ -5,15 +5,14 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use super::remote::Remote;
-use super::{Broken, Joined};
+use super::Broken;
 use crate::gateway::command::MOST_ERASURES;
 use crate::gateway::{Client, Code, ErasureNotice, ErasureOutcome, GatewayError};
-use crate::model::bytes::hex;
-use crate::model::{Address, Digest, PublicKey, clean, counted};
+use crate::model::{Address, Digest, PublicKey, clean, counted, hex};
 use crate::pipeline::retention::{self, is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
-use crate::service::reply::{ErasureView, Result};
+use crate::reply::{ErasureView, Result};
+use crate::site::{Joined, Remote};
 use crate::store::notes::ErasuresTold;
 
 /// How often everything is reported again: a gateway may have been restored from a backup.

@@ -2,13 +2,12 @@
 //! Signatures and digests are still checked here.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use super::Joined;
 use crate::chain::{Chain, ChainOptions, Endpoint, Pin, Relay, RelayLine};
 use crate::config::RemoteSite;
 use crate::crypto::transport_file::{TransportUse, load_transport_key, save_transport_key};
@@ -17,11 +16,11 @@ use crate::gateway::{
     Applicant, ChainLine, Client, Code, Context, Credentials, Endpoint as GatewayEndpoint, GatewayError, GrantNotice,
     KeptTrust, NetworkName, RevokeNotice,
 };
-use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId, clean};
+use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId, clean, locked};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
-use crate::service::failure::{internal, refused};
-use crate::service::reply::{Failure, Result};
+use crate::reply::{Failure, Result, internal, refused};
+use crate::site::Joined;
 use crate::site::chain::connection::Lost;
 use crate::site::identity::Owners;
 
@@ -103,7 +102,7 @@ impl Remote {
     }
 
     fn line(&self, domain: Domain) -> Result<Arc<ChainLine>> {
-        let mut slot = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = locked(&self.line);
         if let Some(line) = slot.as_ref().filter(|line| line.endpoint().context.domain == domain) {
             return Ok(Arc::clone(line));
         }
@@ -222,7 +221,7 @@ impl Remote {
         let mut trust = self.trust.current();
         let client = Client::connect(endpoint, &mut trust, &credentials).await?;
         self.trust.learn(&trust)?;
-        if let Some(line) = self.line.lock().unwrap_or_else(PoisonError::into_inner).as_ref() {
+        if let Some(line) = locked(&self.line).as_ref() {
             line.prove_by(credentials);
         }
         Ok(client)

@@ -11,17 +11,13 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::task::block_in_place;
 
 use super::audit::{acting_as, by};
-use super::consoles::Claims;
-use super::parts::Parts;
-use super::{Site, blocking};
 use crate::accounts::{self, Account, AccountError};
 use crate::command::{Needed, Request};
 use crate::crypto::hands::{self, Fault};
-use crate::event::Event;
-use crate::failure::refused;
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights, ProfileName};
 use crate::paths::Home;
-use crate::reply::{Failure, Reply, Result};
+use crate::reply::{Event, Failure, Reply, Result, refused};
+use crate::site::{Claims, Parts, Site, blocking};
 use crate::socket;
 
 /// How long a looked-up standing counts.

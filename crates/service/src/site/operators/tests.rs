@@ -8,16 +8,14 @@ use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::UnixStream;
 use tokio::sync::{broadcast, mpsc};
 
-use super::{Asker, Heard, Operator};
+use super::Operator;
+use crate::accounts::Account;
+use crate::command::{Ask, CreateIdentity, ListAlerts, RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic};
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights};
-use crate::service::accounts::Account;
-use crate::service::command::{
-    Ask, CreateIdentity, ListAlerts, RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
-};
-use crate::service::{Client, Event, NoticeLevel, socket};
 use crate::site::testing::{PASSPHRASE, profile, site_of};
-use crate::site::{Needs, Site, joiner};
+use crate::site::{Asker, Heard, Needs, Site, joiner};
 use crate::store::AuditQuery;
+use crate::{Client, Event, NoticeLevel, socket};
 
 const NONE: Needs = Needs { ros: false, chain: false };
 /// No account of any machine.

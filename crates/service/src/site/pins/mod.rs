@@ -3,18 +3,15 @@
 #[cfg(test)]
 mod tests;
 
-use crate::pipeline::Pins;
-use crate::site::parts::Parts;
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
 use crate::model::{Address, ProfileName, Publisher, TopicPattern, clean};
-use crate::pipeline::Owner;
-use crate::service::event::Part;
-use crate::service::failure::input;
-use crate::service::reply::{AlarmView, PinView, PinsView, Result};
+use crate::pipeline::{Owner, Pins};
+use crate::reply::{AlarmView, Part, PinView, PinsView, Result, input};
+use crate::site::Parts;
 use crate::store::PinRow;
 
 const WIDEST: usize = 400;
@@ -63,15 +60,10 @@ impl Pinning {
     }
 
     /// Accepts publishers of a topic; if none is named, those being read now of every topic that matches.
-    pub async fn pin(
-        &self,
-        profile: &ProfileName,
-        topic: &TopicPattern,
-        publishers: Vec<Publisher>,
-    ) -> Result<PinsView> {
+    pub async fn pin(&self, profile: &ProfileName, topic: &TopicPattern, given: Vec<Publisher>) -> Result<PinsView> {
         let owner = self.parts.owners.address_of(profile)?;
-        let wanted: Vec<(String, Publisher)> = match (topic.name(), publishers.is_empty()) {
-            (Some(name), false) => publishers.into_iter().map(|one| (name.to_string(), one)).collect(),
+        let wanted: Vec<(String, Publisher)> = match (topic.name(), given.is_empty()) {
+            (Some(name), false) => given.into_iter().map(|one| (name.to_string(), one)).collect(),
             (None, false) => {
                 return Err(input(format!("name one topic for these publishers; {topic} stands for several")));
             }

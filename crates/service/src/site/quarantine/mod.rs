@@ -3,22 +3,18 @@
 #[cfg(test)]
 mod tests;
 
-use crate::site::parts::Parts;
-use crate::site::reading::Reading;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use super::reading::view::record_view;
+use super::reading::own::record_view;
+use crate::command::Held;
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicPattern, clean, counted};
-use crate::pipeline::columns::Shown;
-use crate::pipeline::{Author, Owner, quarantine};
-use crate::service::command::Held;
-use crate::service::event::Part;
-use crate::service::failure::input;
-use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView, Result};
+use crate::pipeline::{Author, Owner, Shown, quarantine};
+use crate::reply::{DecidedView, Failure, HeldView, Part, QuarantineView, Result, input};
+use crate::site::{Parts, Reading};
 use crate::store::{HeldQuery, HeldRow, RecordRow};
 
 /// How long a discard waits for the quarantine records to be in a block.
@@ -67,12 +63,7 @@ impl Quarantine {
     }
 
     /// Needs no passphrase.
-    pub async fn view(
-        &self,
-        profile: &ProfileName,
-        topic: Option<TopicPattern>,
-        limit: usize,
-    ) -> Result<QuarantineView> {
+    pub fn view(&self, profile: &ProfileName, topic: Option<TopicPattern>, limit: usize) -> Result<QuarantineView> {
         let owner = self.parts.owners.address_of(profile)?;
         let (name, limit) = (topic.as_ref().map(ToString::to_string), limit.clamp(1, 1000));
         let query = HeldQuery { topic: name, messages: true, newest_first: true, limit, ..HeldQuery::default() };
@@ -211,21 +202,14 @@ impl Quarantine {
         rows: &[HeldRow],
         deed: impl Future<Output = Result<()>>,
     ) -> Result<()> {
-        let mut subjects = Vec::new();
         let topics: BTreeSet<&str> = rows.iter().map(|row| row.record.topic.as_str()).collect();
-        for topic in topics {
+        let deed_of = |topic: &str| {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
-            let subject = format!("{topic}: {} starting with {first}", counted(count as u64, "message"));
-            self.parts.log.begin(owner, action, &subject).await?;
-            subjects.push(subject);
-        }
-        let outcome = deed.await;
-        for subject in subjects {
-            // The failure is reported once, below.
-            drop(self.parts.log.end(owner, action, &subject, outcome.clone()).await);
-        }
-        outcome
+            (action, format!("{topic}: {} starting with {first}", counted(count as u64, "message")))
+        };
+        let deeds: Vec<(&str, String)> = topics.into_iter().map(deed_of).collect();
+        self.parts.log.deeds(&owner.profile, &deeds, deed).await
     }
 
     /// Deciding about whole topics closes their alarms.

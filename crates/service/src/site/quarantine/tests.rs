@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::model::{Address, RecordKind, Signature, SignerId, TopicId};
-use crate::site::contacts::Contacts;
+use crate::site::Contacts;
 use crate::site::testing::{Ground, profile};
 use crate::store::{Hold, NewRecord};
 
@@ -63,7 +63,7 @@ async fn nothing_is_deleted_while_no_record_on_the_chain_counts_it() {
     assert_eq!(refused.kind, ErrorKind::Incomplete);
     assert!(refused.message.starts_with("nothing was discarded"), "{}", refused.message);
     assert!(ground.parts.plant.ciphertext.get(digest).expect("readable").is_some());
-    let view = quarantine.view(&profile("alice"), None, 10).await.expect("a list");
+    let view = quarantine.view(&profile("alice"), None, 10).expect("a list");
     assert_eq!((view.messages, view.records.len()), (1, 1));
     assert!(view.records.iter().all(|held| held.report.is_some()), "counted by a record that waits for the chain");
 }
@@ -95,7 +95,7 @@ async fn a_pattern_names_the_topics_whose_messages_are_decided_about() {
     let digest = hold(&ground, alice.address, 1);
     let pattern = |text: &str| Some(text.parse().expect("a pattern"));
     for (text, messages) in [("/o?om", 1), ("/robot1/**", 0)] {
-        let view = quarantine.view(&profile("alice"), pattern(text), 10).await.expect("a list");
+        let view = quarantine.view(&profile("alice"), pattern(text), 10).expect("a list");
         assert_eq!((view.messages, view.records.len() as u64), (messages, messages), "{text}");
     }
     for (text, messages) in [("/robot1/**", 0), ("/o*", 1)] {

@@ -8,16 +8,15 @@ use std::sync::Arc;
 use tempfile::NamedTempFile;
 use tokio::task::block_in_place;
 
-use super::{Recordings, Run};
+use super::Run;
+use crate::command::ExportWishes;
 use crate::crypto::{CryptoError, OpenedRecord, private_file, unfinished};
 use crate::model::{Address, ErrorKind, RecordKind, Scope, TopicPattern, Verdict, clean};
-use crate::pipeline::reader::{Definitions, Opening, Reader, is_held};
-use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
+use crate::pipeline::{Definitions, Network, Opening, Owner, PipelineError, Reader, authority, importer, is_held};
+use crate::reply::{ExportView, ExportedTopic, Refused, Result, input, internal};
 use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
 use crate::ros::rosbag2::{METADATA, Tally};
-use crate::service::command::ExportWishes;
-use crate::service::failure::{input, internal};
-use crate::service::reply::{ExportView, ExportedTopic, Refused, Result};
+use crate::site::Recordings;
 use crate::store::{RecordQuery, RecordRow};
 
 const PAGE: usize = 500;
@@ -44,7 +43,7 @@ impl Recordings {
             return Err(input(text));
         }
         let network = self.reading.network_or_kept().await?;
-        let scopes = self.readable_scopes(owner, &network, &wishes)?;
+        let scopes = self.scopes(owner, &network, &wishes)?;
         let file = clean(&wishes.path.display().to_string(), 300);
         let running = self.begin_run(&owner.profile, &wishes.path, "exporting");
         let written = self.write_recording(owner, &network, &scopes, &wishes, &running.run);
@@ -52,12 +51,7 @@ impl Recordings {
     }
 
     /// Owners whose records are requested, with their scopes.
-    fn readable_scopes(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        wishes: &ExportWishes,
-    ) -> Result<HashMap<Address, Scope>> {
+    fn scopes(&self, owner: &Owner, network: &Network, wishes: &ExportWishes) -> Result<HashMap<Address, Scope>> {
         let me = owner.address;
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);

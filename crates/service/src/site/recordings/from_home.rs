@@ -7,20 +7,18 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 
+use super::Run;
+use super::import::at;
 use super::import::{ReadOut, left_out_list};
-use super::standings::at;
-use super::{Recordings, Run};
 use crate::chain::SEAL_ANEW;
 use crate::crypto::OpenedRecord;
 use crate::model::{Header, RecordKind, RecordState, clean};
 use crate::paths::Home;
-use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
-use crate::pipeline::reader::{Definitions, Opening, Reader};
-use crate::pipeline::{CaptureSession, Network, Owner, Plant, network_pin};
+use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, LATCHING};
+use crate::pipeline::{CaptureSession, Definitions, Importer, Network, Opening, Owner, Plant, Reader, network_pin};
+use crate::reply::{ImportView, ImportedTopic, Result, input, refused};
 use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
-use crate::service::failure::{input, refused};
-use crate::service::reply::{ImportView, ImportedTopic, Result};
-use crate::site::blocking;
+use crate::site::{Recordings, blocking};
 use crate::store::{Ciphertext, Ledger, RecordQuery, RecordRow, SiteLock};
 
 const PAGE: usize = 500;

@@ -4,8 +4,7 @@
 use super::*;
 use crate::crypto::Fingerprint;
 use crate::model::{Digest, ErrorKind, RecordKind, RecordState, Signature, SignerId};
-use crate::pipeline::directory::GrantState;
-use crate::pipeline::recovery;
+use crate::pipeline::{GrantState, recovery};
 use crate::reply::Opens;
 use crate::site::testing::{made, profile, registered, site_of_two, site_with_chain};
 use crate::store::NewRecord;

@@ -4,12 +4,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::Storage;
-use crate::service::event::Event;
-use crate::site::contacts::Contacts;
-use crate::site::parts::Parts;
-use crate::site::reading::Reading;
+use crate::reply::Event;
 use crate::site::testing::Ground;
+use crate::site::{Contacts, Parts, Reading, Storage};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {

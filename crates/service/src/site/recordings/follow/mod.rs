@@ -4,8 +4,6 @@
 
 mod folder;
 mod place;
-mod proof;
-mod source;
 mod tape;
 
 use std::collections::BTreeMap;
@@ -14,25 +12,25 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use authros_evidence::Bundle;
+use authros_evidence::recorded::TAG;
 use tokio::sync::{mpsc, oneshot};
 
 use self::folder::{Folder, Look, QUIET, Stamp, Waiting};
-use self::place::{Hashed, Known};
-use self::proof::{Due, Proven};
+use self::place::{FileKey, Hashed, Known};
 use self::tape::{Round, Tape};
-use super::import::MOST_TAGS;
-use super::{Recordings, Run};
-use crate::model::{Address, clean, counted};
-use crate::pipeline::importer::Importer;
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{CaptureSession, Network, Owner};
-use crate::service::command::FollowWishes;
-use crate::service::event::NoticeLevel;
-use crate::service::failure::{AGAIN, input, refused};
-use crate::service::reply::{FollowView, FollowedFile, Result};
-use crate::site::blocking;
-use crate::store::Notes;
+use super::Run;
+use super::import::at;
+use super::import::{MOST_TAGS, RECORDING};
+use crate::command::{EvidenceWishes, FollowWishes};
+use crate::crypto::sm3::sm3;
+use crate::model::{Address, Digest, ErrorKind, RecordKind, RecordState, Timestamp, clean, counted};
+use crate::pipeline::{CaptureSession, Importer, Network, Owner, Reader};
+use crate::reply::{AGAIN, Failure, FollowView, FollowedFile, NoticeLevel, Result, input, refused};
+use crate::ros::recording::BESIDE;
+use crate::site::{Recordings, blocking};
 use crate::store::notes::{FilePlace, FileStanding};
+use crate::store::{Notes, RecordRow};
 
 const LOOK: Duration = Duration::from_millis(250);
 
@@ -153,14 +151,14 @@ impl Recordings {
                 "{shown}, or a folder above or below it, is already being followed; end that first, or leave it to it"
             ))
         })?;
-        self.parts.log.begin(owner, "follow recordings", &shown).await?;
         let running = self.begin_run(&owner.profile, &folder, "following");
         // Ends like a capture: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
-        let followed = self.follow_and_prove(owner, network, wishes, (&running.run, &control), gone).await;
+        let followed = self.follow_and_prove(owner, network, wishes, (&running.run, &control), gone);
+        let followed = self.parts.log.deed(&owner.profile, "follow recordings", &shown, followed).await;
         self.capture.forget(&control);
-        self.parts.log.end(owner, "follow recordings", &shown, followed).await
+        followed
     }
 
     async fn follow_and_prove(
@@ -229,11 +227,13 @@ fn resolved(path: &Path) -> Result<PathBuf> {
     Ok(if rest.as_os_str().is_empty() { resolved } else { resolved.join(rest) })
 }
 
+type Entries<'a> = BTreeMap<PathBuf, Entry<'a>>;
+
 /// The folder's files, round by round.
 fn follow_folder(follower: &Follower<'_>, run: &Run) -> FollowView {
     let shown = clean(&follower.wishes.folder.display().to_string(), 300);
     let mut folder = Folder::new(follower.wishes.folder.clone());
-    let (mut entries, mut files) = (BTreeMap::<PathBuf, Entry<'_>>::new(), Vec::new());
+    let (mut entries, mut files) = (Entries::new(), Vec::new());
     let mut view = FollowView { folder: shown.clone(), ..FollowView::default() };
     let mut newest = Instant::now();
     loop {
@@ -285,7 +285,7 @@ fn follow_folder(follower: &Follower<'_>, run: &Run) -> FollowView {
 }
 
 /// A recorder that compresses whole files removes a database as soon as it is closed.
-fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf, Entry<'_>>) {
+fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &Entries<'_>) {
     if matches!(entries.get(&path.with_extension("")), None | Some(Entry::Waiting(_))) {
         let name = follower.name_of(path);
         follower.tell(
@@ -296,12 +296,7 @@ fn tell_packed(follower: &Follower<'_>, path: &Path, entries: &BTreeMap<PathBuf,
 }
 
 /// Opens a new file; returns whether it did.
-fn open<'a>(
-    follower: &'a Follower<'a>,
-    path: &Path,
-    files: &[PathBuf],
-    entries: &mut BTreeMap<PathBuf, Entry<'a>>,
-) -> bool {
+fn open<'a>(follower: &'a Follower<'a>, path: &Path, files: &[PathBuf], entries: &mut Entries<'a>) -> bool {
     let name = follower.name_of(path);
     if folder::is_database(path) {
         let entry = entries.entry(path.to_owned()).or_insert_with(|| {
@@ -340,14 +335,14 @@ fn open<'a>(
     is_met
 }
 
-fn in_recorded_order(entries: &BTreeMap<PathBuf, Entry<'_>>) -> Vec<PathBuf> {
+fn in_recorded_order(entries: &Entries<'_>) -> Vec<PathBuf> {
     let mut paths: Vec<PathBuf> = entries.keys().cloned().collect();
     folder::sort(&mut paths);
     paths
 }
 
 /// One round of all open files; returns whether any moved. A failure is reported and retried.
-fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<PathBuf, Entry<'_>>) -> bool {
+fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut Entries<'_>) -> bool {
     let mut moved = false;
     for path in in_recorded_order(entries) {
         let Some(entry) = entries.get_mut(&path) else { continue };
@@ -385,4 +380,131 @@ fn go_round(follower: &Follower<'_>, files: &[PathBuf], entries: &mut BTreeMap<P
         }
     }
     moved
+}
+
+const PROOF: &str = ".authros";
+
+/// Written as soon as the statement's record is verified.
+#[derive(Debug, Clone)]
+pub(super) struct Due {
+    /// In the folder, cleaned.
+    pub name: String,
+    path: PathBuf,
+    key: FileKey,
+    place: FilePlace,
+    stated_at: Timestamp,
+    statement: Digest,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Proven {
+    pub record: Option<String>,
+    pub proof: Option<String>,
+    pub notes: Vec<String>,
+}
+
+impl Follower<'_> {
+    /// Requests the proof of a file, if it is stated.
+    pub fn prove(&self, key: &FileKey, place: &FilePlace, path: &Path) {
+        let (Some(stated_at), Some(statement)) = (place.stated_at, place.statement) else { return };
+        let due = Due {
+            name: self.name_of(path),
+            path: path.to_owned(),
+            key: key.clone(),
+            place: place.clone(),
+            stated_at,
+            statement,
+        };
+        // Nobody writes proofs once following has ended.
+        drop(self.due.send(due));
+    }
+}
+
+impl Recordings {
+    /// Writes the proofs that can be written; the others keep waiting.
+    pub(super) async fn prove(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        waiting: &mut Vec<Due>,
+        proven: &mut BTreeMap<String, Proven>,
+    ) {
+        let mut left = Vec::new();
+        for due in std::mem::take(waiting) {
+            match self.prove_one(owner, &due).await {
+                Ok(None) => left.push(due),
+                Ok(Some(one)) => {
+                    let text = one.proof.as_ref().map(|proof| format!("{}: its proof is {proof}", due.name));
+                    text.into_iter().for_each(|text| self.parts.hub.inform(&text));
+                    proven.insert(due.name, one);
+                }
+                Err(failure) => {
+                    let text = format!("its proof was not written: {}", failure.message);
+                    self.parts.hub.warn(&format!("{}: {text}", due.name));
+                    proven.insert(due.name, Proven { notes: vec![text], ..Proven::default() });
+                }
+            }
+        }
+        *waiting = left;
+    }
+
+    async fn prove_one(self: &Arc<Self>, owner: &Arc<Owner>, due: &Due) -> Result<Option<Proven>> {
+        let (network, author, wanted) = (self.reading.network_or_kept().await?, Arc::clone(owner), due.clone());
+        let row = blocking(self, move |recordings| {
+            let reader = Reader { plant: &recordings.parts.plant, network: &network, reader: &author };
+            statement(&reader, &wanted)
+        });
+        let row = row.await?.ok_or_else(|| input("the record that states its digests is gone"))?;
+        match row.state {
+            RecordState::Verified => {}
+            RecordState::Tampered => {
+                let text = format!("record {}, which states its digests, differs from what was anchored", row.id);
+                return Err(Failure::new(ErrorKind::Tampered, text));
+            }
+            _ => return Ok(None),
+        }
+        let target = beside(&due.path);
+        let mut one = Proven { record: Some(row.id.clone()), ..Proven::default() };
+        if target.symlink_metadata().is_err() {
+            let (file, records, reveal) = (target.clone(), vec![row.id.clone()], vec![row.id.clone()]);
+            let wishes = EvidenceWishes { file, records, reveal, sure: true, ..EvidenceWishes::default() };
+            one.notes = self.evidence.export(owner, wishes).await?.notes;
+        }
+        one.proof = Some(clean(&target.display().to_string(), 300));
+        let due = due.clone();
+        blocking(self, move |recordings| recordings.finish_proof(&due, &target, row.digest)).await?;
+        Ok(Some(one))
+    }
+
+    /// Checks that the bundle is the file's, and notes that.
+    fn finish_proof(&self, due: &Due, target: &Path, record: Digest) -> Result<()> {
+        let is_its_own =
+            Bundle::read(target, self.parts.plant.provider).is_ok_and(|bundle| bundle.records.contains_key(&record));
+        if !is_its_own {
+            return Err(input(format!(
+                "{} is there and proves something else: another file, this one as it was before, or what another profile \
+                 sealed of it; move it away and follow the folder again",
+                target.display()
+            )));
+        }
+        let done = FilePlace { standing: FileStanding::Proven, ..due.place.clone() };
+        Ok(self.parts.plant.ledger.notes.write(&due.key.note, &done)?)
+    }
+}
+
+pub(super) fn beside(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(PROOF);
+    name.into()
+}
+
+fn statement(reader: &Reader<'_>, due: &Due) -> Result<Option<RecordRow>> {
+    for found in reader.own_opened(at(BESIDE, RecordKind::Attachment, Some(due.stated_at))) {
+        let (row, opened) = found?;
+        let has = |key: &str, value: &str| opened.head.tags.get(key).is_some_and(|found| found == value);
+        let is_it = has(RECORDING, &due.key.tag) && has(TAG.0, TAG.1);
+        if is_it && Digest(sm3(&[&opened.body])) == due.statement {
+            return Ok(Some(row));
+        }
+    }
+    Ok(None)
 }

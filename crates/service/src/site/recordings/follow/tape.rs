@@ -9,20 +9,19 @@ use std::time::{Duration, Instant};
 
 use authros_evidence::recorded::{RecordedFile, TAG};
 
-use super::super::claims::{Claim, Holder};
+use super::super::import::SealedBefore;
 use super::super::import::{Choosing, RECORDING};
-use super::super::standings::SealedBefore;
+use super::super::{Claim, Holder};
 use super::folder::Waiting;
+use super::place::Source;
 use super::place::{self, FileKey, Hashed, Known};
-use super::source::Source;
-use super::{Entry, Follower, folder, proof};
+use super::{Entry, Follower, beside, folder};
 use crate::crypto::sm3::sm3;
 use crate::model::{Digest, Timestamp, clean};
-use crate::pipeline::importer::Importer;
+use crate::pipeline::Importer;
+use crate::reply::{FollowedFile, Result, input};
 use crate::ros::mcap::MAGIC;
 use crate::ros::recording::{BESIDE, Beside, RecordedMessage};
-use crate::service::failure::input;
-use crate::service::reply::{FollowedFile, Result};
 use crate::store::notes::{FilePlace, FileStanding, Standing as Imported, Standings};
 
 /// Limits of what is sealed before the ledger notes it.
@@ -103,7 +102,7 @@ impl<'a> Tape<'a> {
             return Ok(Some(settled(follower, path, (key, place), view)));
         }
         let former = former.map(|former| former.1);
-        if place.begun == 0 && changed_before(follower, path, former, &mut view)? {
+        if place.begun == 0 && altered(follower, path, former, &mut view)? {
             return done(view);
         }
         let reader = match Source::open(path, length, is_followed) {
@@ -375,17 +374,12 @@ impl<'a> Tape<'a> {
 }
 
 /// Notes that another state of the file was sealed; `true` if its proof is of that one, so that this one is not sealed.
-fn changed_before(
-    follower: &Follower<'_>,
-    path: &Path,
-    former: Option<FilePlace>,
-    view: &mut FollowedFile,
-) -> Result<bool> {
+fn altered(follower: &Follower<'_>, path: &Path, former: Option<FilePlace>, view: &mut FollowedFile) -> Result<bool> {
     view.is_altered = former.is_some();
     let named = place::sealed_at(&follower.recordings.parts.plant.ledger.notes, follower.owner.address, path)?;
     let sealed = named.or(former.filter(|place| place.standing != FileStanding::Open));
     // Without its proof, another file may well have its name.
-    let proven = sealed.filter(|_| proof::beside(path).symlink_metadata().is_ok());
+    let proven = sealed.filter(|_| beside(path).symlink_metadata().is_ok());
     view.is_altered |= proven.is_some();
     let note = match &proven {
         Some(place) => place::changed(place, &view.file),
@@ -410,7 +404,7 @@ fn settled<'a>(
     if place.standing == FileStanding::Stated {
         follower.prove(&key, &place, path);
     } else {
-        view.proof = Some(clean(&proof::beside(path).display().to_string(), 300));
+        view.proof = Some(clean(&beside(path).display().to_string(), 300));
     }
     Entry::ended(path, view, Some(place))
 }
