@@ -574,7 +574,7 @@ mod address_tests {
             "http://me:SECRET@",
             "https://me:SECRET@:x/",
             "nothing://me:SECRET@host/SECRET",
-            "ws://[SECRET/",
+            "http://[SECRET/",
             "node.example/SECRET",
         ] {
             let Err(error) = parse(bad) else { panic!("{bad} is accepted") };

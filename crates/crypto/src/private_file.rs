@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(fs::metadata(home.path().join("keys")).expect("there").permissions().mode() & 0o777, 0o700);
         assert_eq!(fs::read_dir(home.path().join("keys")).expect("lists").count(), 1, "no temporary file stays");
         assert!(matches!(create_private(&path, b"three"), Err(CryptoError::Exists(_))));
-        assert!(matches!(read_private(&path, 2), Err(CryptoError::Length { .. })));
+        assert!(matches!(read_private(&path, 2), Err(CryptoError::TooLong { .. })));
     }
 
     #[test]

@@ -401,7 +401,20 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
     {
         sheet.warn("settings", "others can read the settings, which may have the password of store.url", &advice);
     }
-    let (glance, durability) = match Glance::on_server(url, config.store_roots.as_deref(), Some(&home.watermark())) {
+    let look = |watermark| Glance::on_server(url, config.store_roots.as_deref(), watermark);
+    let foreign = |glance: &Glance| {
+        let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
+        other_gateway(&known, glance.path(), home)
+    };
+    // Another gateway's database never counted this home's commits.
+    let looked = look(None).and_then(|(glance, durability)| {
+        let foreign = glance.as_ref().and_then(foreign);
+        if foreign.is_none() {
+            look(Some(&home.watermark()))?;
+        }
+        Ok((glance, durability, foreign))
+    });
+    let (glance, durability, foreign) = match looked {
         Ok(found) => found,
         Err(error) => {
             sheet.fail_in_words("store", &error.to_string(), OTHER_DATABASE);
@@ -419,8 +432,7 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
     };
     notes(glance.check_notes(), sheet);
     workers(&glance, config, runs, sheet);
-    let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
-    if let Some(text) = other_gateway(&known, glance.path(), home) {
+    if let Some(text) = foreign {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);
     } else if let Ok(Some(shared)) = glance.note(&SharedSystemKeys {})
         && let Err(failure) = join_key(home, shared.join)
