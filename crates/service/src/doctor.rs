@@ -401,6 +401,7 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
     {
         sheet.warn("settings", "others can read the settings, which may have the password of store.url", &advice);
     }
+    let watermark = home.watermark();
     let look = |watermark| Glance::on_server(url, config.store_roots.as_deref(), watermark);
     let foreign = |glance: &Glance| {
         let known = glance.note(&ProfileAccounts {}).ok().flatten().unwrap_or_default();
@@ -410,7 +411,7 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
     let looked = look(None).and_then(|(glance, durability)| {
         let foreign = glance.as_ref().and_then(foreign);
         if foreign.is_none() {
-            look(Some(&home.watermark()))?;
+            look(Some(&watermark))?;
         }
         Ok((glance, durability, foreign))
     });

@@ -18,7 +18,7 @@ use crate::pipeline::network_pin_at;
 use crate::reply::{BackupView, Failure, JoinStanding, JoinedView, Result, input, refused};
 use crate::site::opened_system_keys;
 use crate::store::notes::{ProfileAccounts, SealedSystemKeys, SharedSystemKeys};
-use crate::store::{Glance, StoreError, archive, files, note_restored, snapshot};
+use crate::store::{Glance, archive, files, note_restored, snapshot};
 
 /// Restores a backup as the home. The home and the places outside it that the backup has settings for must be empty or
 /// absent; on failure the home is unchanged.

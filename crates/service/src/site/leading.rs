@@ -580,7 +580,7 @@ mod tests {
     use tokio::sync::Notify;
 
     use super::*;
-    use crate::event::Event;
+    use crate::reply::Event;
     use crate::site::testing::{Ground, site_with_chain};
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
