@@ -38,7 +38,7 @@ def without_inline_tests(text: str) -> str:
 
 
 def code_lines(text: str) -> int:
-    text = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
+    text = re.sub(r"^\s*/\*.*?\*/", "", text, flags=re.S | re.M)
     lines = (line.strip() for line in text.splitlines())
     return sum(1 for line in lines if line and not line.startswith("//"))
 
