@@ -8,7 +8,7 @@ use clap::{Subcommand, ValueEnum};
 
 use super::connect::{Context, ProfileNeed};
 use super::plan::{CHAIN, NEITHER, Plan};
-use super::{parse, parse::usage, passphrase};
+use super::{parse, parse::usage, passphrase, show::Question};
 use crate::crypto::keyfile::is_keystore_file;
 use crate::service::{Failure, KeyKind, SecretText, command, reply};
 use authros_output::{pairs, table};
@@ -35,7 +35,7 @@ pub enum KeysVerb {
         /// SM4 key: 16 bytes, or 32 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm4: Option<PathBuf>,
-        /// SM2 signing key: PEM (PKCS#8 or SEC1), or 64 hex digits; readers who compared the fingerprint compare it anew
+        /// SM2 signing key: PEM (PKCS#8 or SEC1), or 64 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm2: Option<PathBuf>,
         /// EOA: 64 hex digits, or a V3 keystore
@@ -44,12 +44,18 @@ pub enum KeysVerb {
         /// File with the V3 keystore's passphrase [default: asked at the terminal]
         #[arg(long, value_name = "FILE")]
         keystore_passphrase_file: Option<PathBuf>,
+        /// Only report who is affected by a new SM2 key; change nothing
+        #[arg(long, requires = "sm2")]
+        dry_run: bool,
     },
     /// Start a new epoch: current readers keep access, new records are sealed under a new key
     Rotate {
         /// Replace the SM2 envelope key instead: others' future grants to you are sealed to it
         #[arg(long)]
         envelope: bool,
+        /// Only report who is affected by a new envelope key; change nothing
+        #[arg(long, requires = "envelope")]
+        dry_run: bool,
     },
     /// Change the keyring's passphrase; the current one is given as for every command, or asked at the terminal
     Passphrase {
@@ -91,8 +97,10 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
         KeysVerb::List => Plan::unlocked(command::ListKeys),
-        KeysVerb::Rotate { envelope: false } => Plan::unlocked(command::RotateKeys),
-        KeysVerb::Rotate { envelope: true } => Plan::unlocked(command::RotateEnvelope),
+        KeysVerb::Rotate { envelope: false, .. } => Plan::unlocked(command::RotateKeys),
+        KeysVerb::Rotate { dry_run, .. } => {
+            changes(ProfileNeed::Unlocked, command::PairKind::Envelope, dry_run, command::RotateEnvelope)
+        }
         KeysVerb::Passphrase { new_passphrase_file, new_passphrase_fd } => {
             return passphrase::change(context, new_passphrase_file.as_deref(), new_passphrase_fd);
         }
@@ -107,15 +115,23 @@ pub fn plan(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             })?;
             Plan::kept(command::RestoreKeys { path: parse::absolute(&file)?, passphrase: secret })
         }
-        KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file } => {
+        KeysVerb::Load { sm4, sm2, eoa, keystore_passphrase_file, dry_run } => {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
             let (kind, path) = chosen.ok_or_else(|| usage("give the key with --sm4, --sm2 or --eoa"))?;
+            if dry_run {
+                // The report is about this key, so it must be one.
+                crate::crypto::keyfile::load_sm2(&path)?;
+            }
             let mut passphrase = secret(keystore_passphrase_file)?;
             if kind == KeyKind::Eoa && passphrase.is_none() && is_keystore_file(&path)? {
                 passphrase = passphrase::terminal::once("Passphrase of the keystore")?;
             }
-            Plan::new(CHAIN, ProfileNeed::Made, command::LoadKey { kind, path: parse::absolute(&path)?, passphrase })
+            let ask = command::LoadKey { kind, path: parse::absolute(&path)?, passphrase };
+            match kind {
+                KeyKind::Sm2 => changes(ProfileNeed::Made, command::PairKind::Signing, dry_run, ask),
+                KeyKind::Sm4 | KeyKind::Eoa => Plan::new(CHAIN, ProfileNeed::Made, ask),
+            }
         }
         KeysVerb::Export { kind, out, keystore_passphrase_file } => {
             let kind = match kind {
@@ -146,4 +162,13 @@ pub fn list(view: &reply::KeysView) -> String {
         [epoch.epoch.to_string(), state.to_owned(), epoch.token.to_string()]
     });
     format!("{head}\n\n{}", table(&["epoch", "state", "token"], rows))
+}
+
+/// Reports those affected first, or only them.
+fn changes(profile: ProfileNeed, kind: command::PairKind, dry_run: bool, question: impl Into<Question>) -> Plan {
+    let touched = command::ForeseeKeyChange { kind };
+    if dry_run {
+        return Plan::new(CHAIN, profile, touched);
+    }
+    Plan { first: Some(touched), ..Plan::new(CHAIN, profile, question) }
 }

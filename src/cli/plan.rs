@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::connect::{Context, ProfileNeed};
 use super::{passphrase, printed, show::Question};
-use crate::service::{Command, Failure, Needs};
+use crate::service::{Command, Failure, Needs, command};
 use authros_output::Output;
 
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
@@ -14,13 +14,15 @@ pub const NEITHER: Needs = Needs { ros: false, chain: false };
 pub struct Plan {
     pub needs: Needs,
     pub profile: ProfileNeed,
+    /// Asked first; its answer goes to stderr.
+    pub first: Option<command::ForeseeKeyChange>,
     pub question: Question,
     pub out: Option<PathBuf>,
 }
 
 impl Plan {
     pub fn new(needs: Needs, profile: ProfileNeed, question: impl Into<Question>) -> Self {
-        Self { needs, profile, question: question.into(), out: None }
+        Self { needs, profile, first: None, question: question.into(), out: None }
     }
 
     /// With the chain and an open keyring.
@@ -71,6 +73,9 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
             need => need,
         };
         context.prepare(&connection.client, need, output).await?;
+        if let Some(first) = plan.first {
+            connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
+        }
         let long = matches!(plan.question.command, Command::AuditRecords { .. });
         let answer = plan.question.ask(&connection.client);
         Ok(if long { printed::told(&connection.client, answer, output).await } else { answer.await })

@@ -85,6 +85,7 @@ macro_rules! rows {
 
 documents! {
     reply::IdentityView => identity::one;
+    reply::KeyChangeView => |view| view.lines.join("\n");
     reply::GrantForesight => grants::foreseen;
     reply::KeysView => keys::list;
     reply::RecordPage => records::page;

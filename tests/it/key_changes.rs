@@ -27,7 +27,12 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
     let before = two.alice.json(&["keys", "list"]);
     let file = signing_key(&two.home, '1');
 
-    two.alice.run(&["keys", "load", "--sm2", &file]).expect_code(0);
+    let foreseen = two.alice.json(&["keys", "load", "--sm2", &file, "--dry-run"]);
+    assert_eq!(list(&foreseen, "readers"), [Value::from(two.bob_address.as_str())], "{foreseen}");
+    assert_eq!(two.alice.json(&["keys", "list"])["signing_key"], before["signing_key"], "nothing was changed");
+
+    let loaded = two.alice.run(&["keys", "load", "--sm2", &file]).expect_code(0);
+    assert!(loaded.stderr.contains("1 reader with a grant"), "said beforehand: {loaded}");
     let after = two.alice.json(&["keys", "list"]);
     assert_ne!(after["signing_key"], before["signing_key"]);
     assert_eq!(after["envelope_key"], before["envelope_key"]);
@@ -59,6 +64,8 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
     two.alice.capture(&["/robot1/odom"], 2);
     let before = two.bob.json(&["keys", "list"]);
 
+    let foreseen = two.bob.json(&["keys", "rotate", "--envelope", "--dry-run"]);
+    assert_eq!(list(&foreseen, "sharers"), [Value::from(two.alice_address.as_str())], "{foreseen}");
     let rotated = two.bob.json(&["keys", "rotate", "--envelope"]);
     assert_ne!(rotated["envelope_key"], before["envelope_key"]);
     assert_eq!(rotated["signing_key"], before["signing_key"]);

@@ -99,9 +99,11 @@ fn a_saved_keyring_is_never_written_over_and_a_key_that_is_not_there_is_named() 
 
     let missing = home.root().join("mistyped.pem");
     let missing = missing.to_str().expect("UTF-8");
-    let told = authros.fails(3, &["keys", "load", "--sm2", missing]);
-    assert!(told.contains(missing), "{told}");
-    let told = authros.run(&["keys", "load"]).expect_code(2);
+    for arguments in [&["keys", "load", "--sm2", missing, "--dry-run"][..], &["keys", "load", "--sm2", missing]] {
+        let told = authros.fails(3, arguments);
+        assert!(told.contains(missing), "{arguments:?}: {told}");
+    }
+    let told = authros.run(&["keys", "load", "--dry-run"]).expect_code(2);
     assert!(told.stderr.contains("--sm2"), "{told}");
 }
 
@@ -159,7 +161,7 @@ fn signing_keys_of_openssl_are_loaded_in_each_of_its_forms() {
 }
 
 #[test]
-fn a_file_that_is_no_signing_key_is_refused_by_what_it_is() {
+fn a_dry_run_reads_the_key_before_it_says_who_is_affected() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");
     }
@@ -168,15 +170,15 @@ fn a_file_that_is_no_signing_key_is_refused_by_what_it_is() {
     authros.json(&["identity", "create"]);
     let p256 = home.file("p256.pem", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256", "-out", &p256]);
-    let told = authros.fails(3, &["keys", "load", "--sm2", &p256]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &p256, "--dry-run"]);
     assert!(told.contains("another curve"), "{told}");
     let der = home.file("key.der", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "SM2", "-outform", "DER", "-out", &der]);
-    let told = authros.fails(3, &["keys", "load", "--sm2", &der]);
+    let told = authros.fails(3, &["keys", "load", "--sm2", &der, "--dry-run"]);
     assert!(told.contains("it is binary"), "{told}");
     let sm2 = home.file("sm2.pem", "", 0o600);
     output_of("openssl", &["genpkey", "-algorithm", "SM2", "-out", &sm2]);
-    authros.run(&["keys", "load", "--sm2", &sm2]).expect_code(0);
+    authros.run(&["keys", "load", "--sm2", &sm2, "--dry-run"]).expect_code(0);
 }
 
 #[test]

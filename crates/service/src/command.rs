@@ -26,10 +26,10 @@ use crate::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, AuditCheck, AuditView, BackupView, CaptureSummary,
     ChainView, CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView,
     DeviceRow, DeviceTopicsView, EnrolledView, ErasureView, EvidenceView, ExportView, ExportedFile, FollowView,
-    GatewayStatusView, GatewayView, GrantForesight, GrantRow, IdentityView, ImportView, IncidentView, KeysView,
-    OpenedView, PathView, PinsView, PlayedView, PolicyView, ProgressView, Provenance, QuarantineView, RecordAudit,
-    RecordPage, Result, RingPullView, RobotRow, RobotView, ServedView, SiteView, StampView, TopicRow, TransactionView,
-    refused,
+    GatewayStatusView, GatewayView, GrantForesight, GrantRow, IdentityView, ImportView, IncidentView, KeyChangeView,
+    KeysView, OpenedView, PathView, PinsView, PlayedView, PolicyView, ProgressView, Provenance, QuarantineView,
+    RecordAudit, RecordPage, Result, RingPullView, RobotRow, RobotView, ServedView, SiteView, StampView, TopicRow,
+    TransactionView, refused,
 };
 use crate::ros::readable::Exported;
 
@@ -55,6 +55,8 @@ requests! {
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
     } => KeysView, PASSPHRASE, KEEPS_KEYS;
+    /// Who is affected by a new key pair.
+    ForeseeKeyChange { kind: PairKind } => KeyChangeView, LOOK, KEEPS_KEYS;
     /// Begin a new epoch.
     RotateKeys => TransactionView, OWNER, KEEPS_KEYS;
     /// Replace the envelope pair with a new one.

@@ -138,6 +138,7 @@ impl Answer for () {
 replies! {
     Identity(IdentityView);
     Keys(KeysView);
+    KeyChange(KeyChangeView);
     Key(SecretBytes);
     Topics(Vec<TopicRow>);
     Coverage(Vec<CoverageView>);

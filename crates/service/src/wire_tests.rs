@@ -15,6 +15,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"load_key","kind":"sm2","path":"/k.pem","passphrase":null}"#,
     r#"{"command":"rotate_keys"}"#,
     r#"{"command":"rotate_envelope"}"#,
+    r#"{"command":"foresee_key_change","kind":"envelope"}"#,
     r#"{"command":"change_passphrase","old":"p","new":"q"}"#,
     r#"{"command":"export_key","kind":"eoa","passphrase":"p"}"#,
     r#"{"command":"list_topics"}"#,

@@ -537,6 +537,8 @@ mod webhook_tests {
             });
             let webhook = at(&format!("http://127.0.0.1:{port}/hook"), AlertForm::Authros);
             let refused = webhook.carry(&delivery(1), 0).await.expect_err("refused");
+            // Its connection ends, which the server waits for.
+            drop(webhook);
             let text = refused.failure.message;
             assert!(said.iter().all(|part| text.contains(part)) && !text.contains("T0K3N"), "{lines}: {text}");
             server.join().expect("ends");

@@ -25,7 +25,9 @@ const GROUPS: &[(&str, &str)] = &[("of_incident", "incident"), ("of_robot", "rob
 const LOOK: &[&str] = &[
     "show_identity",
     "list_keys",
+    "foresee_key_change",
     "foresee_grant",
+    "foresee_key_change",
     "list_topics",
     "topic_coverage",
     "list_pins",

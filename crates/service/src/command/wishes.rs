@@ -287,3 +287,10 @@ mod grant_tests {
         }
     }
 }
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PairKind {
+    Signing,
+    Envelope,
+}

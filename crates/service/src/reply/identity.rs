@@ -124,6 +124,17 @@ pub struct KeysView {
     pub epochs: Vec<EpochView>,
 }
 
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeyChangeView {
+    pub readers: Vec<Address>,
+    pub sharers: Vec<Address>,
+    pub robots: Vec<ProfileName>,
+    pub keeps_gateway: bool,
+    pub joined: Option<String>,
+    /// The effects, in words.
+    pub lines: Vec<String>,
+}
+
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolledView {
     /// N, its name at the gateway.

@@ -71,6 +71,7 @@ impl Site {
             Register => self.profiles.register(&owner()?).await;
             ListKeys => self.profiles.keys(&*owner()?).await;
             LoadKey { kind, path, passphrase } => self.profiles.load_key(&owner()?, kind, path, passphrase).await;
+            ForeseeKeyChange { kind } => self.profiles.foresee_key_change(&*owner()?, kind).await;
             RotateEnvelope => self.profiles.rotate_envelope(&*owner()?).await;
             RotateKeys => self.sharing.rotate(&*owner()?, "requested").await;
             ExportKey { kind, passphrase } => self.profiles.export_key(&*owner()?, kind, passphrase).await;

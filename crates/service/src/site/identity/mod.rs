@@ -1,5 +1,6 @@
 //! Profiles of the home: created, opened, locked, registered and shown; who is open.
 
+mod foreseeing;
 mod keys;
 
 use std::collections::BTreeMap;
