@@ -109,7 +109,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"coverage","with":[{"topic":"/odom","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:01:00Z","first":null,"last":null,"parts":[{"at":"2026-01-01T00:00:00Z","data":true,"quarantined":false,"tampered":false,"lost":2}]}]}"#,
     r#"{"reply":"captured","with":{"captured":1,"verified":1,"quarantined":0,"lost":0,"skipped":0,"topics":[]}}"#,
     r#"{"reply":"progress","with":[{"step":"hashing","file":"a","done":1,"of":2,"messages":3,"unit":"messages"}]}"#,
-    r#"{"reply":"policy","with":{"topics":[],"idle":[],"learned":false}}"#,
+    r#"{"reply":"policy","with":{"topics":[],"idle":[]}}"#,
     r#"{"reply":"records","with":{"records":[{"id":"0a","seq":1,"topic":"/odom","type":"nav_msgs/Odometry","kind":"data","state":"verified, names unchecked","digest":"0707070707070707070707070707070707070707070707070707070707070707","bytes":5,"captured_at":"2026-01-01T00:00:00Z","epoch":0,"simulated":true,"transaction":null,"block":null,"compared":"header"}],"next":null}}"#,
     r#"{"reply":"records","with":{"records":[{"id":"0a","seq":1,"topic":"/odom","type":"nav_msgs/Odometry","kind":"quarantine","state":"unread","digest":"0707070707070707070707070707070707070707070707070707070707070707","bytes":5,"captured_at":"2026-01-01T00:00:00Z","epoch":0,"simulated":true,"transaction":null,"block":7,"compared":"nothing"}],"next":"x"}}"#,
     r#"{"reply":"records","with":{"records":[{"id":"0a","seq":1,"topic":"/odom","type":"nav_msgs/Odometry","kind":"gap","state":"waits: unauthorised","digest":"0707070707070707070707070707070707070707070707070707070707070707","bytes":5,"captured_at":"2026-01-01T00:00:00Z","epoch":0,"simulated":true,"transaction":null,"block":7,"compared":"head"}],"next":"x"}}"#,
