@@ -159,11 +159,11 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
     }
 }
 
-/// The topics of the graph, including one with a hostile name.
+/// The topics of the graph.
 pub fn topics() -> Vec<TopicRow> {
-    let hostile = TopicRow { type_name: None, simulated: false, hz: None, ..topic("/evil\u{202e}\u{1b}[2J", 0.0) };
+    let silent = TopicRow { type_name: None, simulated: false, hz: None, bytes_per_second: None, ..topic("/map", 0.0) };
     let watched = TopicRow { watched: true, messages: 12_300, ..topic("/robot1/odom", 20.1) };
-    vec![topic("/robot2/odom", 20.0), topic("/robot1/camera/compressed", 2.0), watched, hostile]
+    vec![topic("/robot2/odom", 20.0), topic("/robot1/camera/compressed", 2.0), watched, silent]
 }
 
 /// A record; the number makes it its own.
@@ -408,19 +408,28 @@ fn audit() -> Vec<AuditView> {
     vec![line(1, "register", &OWN.to_string(), "ok"), line(2, "grant", &OTHER.to_string(), "refused: not registered")]
 }
 
+/// Bytes without a pattern, as digests have them.
+fn scattered(seed: u32) -> [u8; 32] {
+    let mut state = seed.wrapping_mul(2_654_435_769);
+    [0; 32].map(|_: u8| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state.to_be_bytes()[0]
+    })
+}
+
 /// A record's provenance and state.
 pub fn provenance(number: u64) -> Provenance {
     let step = |word: &str, evidence: &str| (word.to_owned(), evidence.to_owned());
     let steps = vec![
         step("message", "728 bytes of /robot1/odom, captured 2023-11-14T22:13:21Z"),
         step("record", "sealed under epoch 2, seq 1000, on disk 2023-11-14T22:13:21Z"),
-        step("digest", &format!("SM3 {}", Digest([0xd1; 32]))),
-        step("signature", &format!("SM2 by signer {}", SignerId([0x5e; 32]))),
+        step("digest", &format!("SM3 {}", Digest(scattered(1)))),
+        step("signature", &format!("SM2 by signer {}", SignerId(scattered(2)))),
         step("store", "ciphertext stored with its row"),
-        step("batch", &format!("root {}, closed 2023-11-14T22:13:22Z", Hash([7; 32]))),
+        step("batch", &format!("root {}, closed 2023-11-14T22:13:22Z", Hash(scattered(3)))),
         step("proof", "leaf 12 of 25, 5 hashes to the root"),
-        step("transaction", &Hash([3; 32]).to_string()),
-        step("block", &format!("118 {}", Hash([5; 32]))),
+        step("transaction", &Hash(scattered(4)).to_string()),
+        step("block", &format!("118 {}", Hash(scattered(5)))),
         step("confirmations", "12 of 3 wanted"),
         step("verified", "read back from the store: digest matches the chain, signature valid"),
     ];

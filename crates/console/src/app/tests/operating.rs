@@ -101,8 +101,6 @@ fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
     robot.site_answers(true);
     robot.types("U");
     assert!(robot.message().contains("nothing to undo"));
-    // The first row is a hostile name, to which nothing applies.
-    robot.presses(Key::Down);
     robot.types("w");
     let tag = robot.work().first().cloned().expect("something is watched or not");
     robot.is_answered(&tag, Ok(Reply::Done));

@@ -1,7 +1,7 @@
 //! Watching topics: marks, the way through the identity, and back.
 
 use super::{Robot, fixtures};
-use crate::app::{Key, Popup, Purpose, Tag};
+use crate::app::{Feed, Key, Popup, Purpose, Tag};
 use crate::model::{ErrorKind, Sampling};
 use crate::service::{Command, Part, Reply};
 
@@ -102,7 +102,11 @@ fn a_registration_that_fails_drops_what_waited_and_stays_on_screen() {
 
 #[test]
 fn a_topic_with_a_name_that_is_none_is_refused_in_words() {
-    let mut robot = on(at_topics(true), "evil");
+    let mut robot = at_topics(true);
+    let rows = vec![fixtures::topic("/evil\u{202e}\u{1b}[2J", 0.0)];
+    robot.hears_of(Part::Topics);
+    robot.is_answered(&Tag::Feed(Feed::Topics, 0), Ok(Reply::Topics(rows)));
+    let mut robot = on(robot, "evil");
     robot.types("w");
     assert!(robot.work().is_empty());
     assert!(robot.message().contains("is not a topic name") && !robot.message().contains('\u{1b}'));
