@@ -408,14 +408,11 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
         other_gateway(&known, glance.path(), home)
     };
     // Another gateway's database never counted this home's commits.
-    let looked = look(None).and_then(|(glance, durability)| {
-        let foreign = glance.as_ref().and_then(foreign);
-        if foreign.is_none() {
-            look(Some(&watermark))?;
-        }
-        Ok((glance, durability, foreign))
+    let looked = look(Some(&watermark)).or_else(|error| match look(None) {
+        Ok((Some(glance), durability)) if foreign(&glance).is_some() => Ok((Some(glance), durability)),
+        _ => Err(error),
     });
-    let (glance, durability, foreign) = match looked {
+    let (glance, durability) = match looked {
         Ok(found) => found,
         Err(error) => {
             sheet.fail_in_words("store", &error.to_string(), OTHER_DATABASE);
@@ -433,7 +430,7 @@ fn database(home: &Home, config: &Config, (url, runs): (&str, bool), sheet: &mut
     };
     notes(glance.check_notes(), sheet);
     workers(&glance, config, runs, sheet);
-    if let Some(text) = foreign {
+    if let Some(text) = foreign(&glance) {
         sheet.fail_in_words("database", &text, OTHER_DATABASE);
     } else if let Ok(Some(shared)) = glance.note(&SharedSystemKeys {})
         && let Err(failure) = join_key(home, shared.join)

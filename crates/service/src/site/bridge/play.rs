@@ -585,7 +585,7 @@ mod rights_tests {
         let after = |seconds: u64| begin + Duration::from_secs(seconds);
         assert_eq!(keys.awaited(which(1), true, UNSURE, begin), Some(Duration::ZERO));
         assert!(keys.looked_for(which(1), begin) && !keys.looked_for(which(2), begin), "another topic is looked at");
-        assert!(!keys.looked_for(which(1), after(1)), "it is looked for again");
+        assert!(!keys.looked_for(which(1), after(1)), "the key is searched for again");
         assert_eq!(keys.awaited(which(1), true, UNSURE, after(119)), Some(Duration::from_secs(119)));
         for moment in [120, 121] {
             assert_eq!(keys.awaited(which(1), true, UNSURE, after(moment)), None, "given up");
